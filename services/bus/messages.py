@@ -1,0 +1,161 @@
+"""Messages: ROS 2 CDR through one typestore, standard types and our own ``zenfi_msgs``.
+
+``MESSAGES`` holds the .msg text of our types, from which a ROS 2 interface package can be made.
+Standard types are imported from here so that a stage names its message classes in one place.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.stores.ros2_jazzy import builtin_interfaces__msg__Time as Time
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Point as Point
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Pose as Pose
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__PoseWithCovariance as PoseWithCovariance
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Quaternion as Quaternion
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Twist as Twist
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__TwistStamped as TwistStamped
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__TwistWithCovariance as TwistWithCovariance
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Vector3 as Vector3
+from rosbags.typesys.stores.ros2_jazzy import nav_msgs__msg__Odometry as Odometry
+from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__CameraInfo as CameraInfo
+from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__Image as Image
+from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__Imu as Imu
+from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__PointCloud2 as PointCloud2
+from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__PointField as PointField
+from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__RegionOfInterest as RegionOfInterest
+from rosbags.typesys.stores.ros2_jazzy import std_msgs__msg__Header as Header
+
+__all__ = [
+    "CameraInfo",
+    "CollisionCheck",
+    "Goal",
+    "Header",
+    "Horizon",
+    "Image",
+    "Imu",
+    "Injection",
+    "MalformedMessageError",
+    "Mission",
+    "Octomap",
+    "Odometry",
+    "Point",
+    "PointCloud2",
+    "PointField",
+    "Pose",
+    "PoseWithCovariance",
+    "Quaternion",
+    "RegionOfInterest",
+    "Time",
+    "Trajectory",
+    "Twist",
+    "TwistStamped",
+    "TwistWithCovariance",
+    "Vector3",
+    "decode",
+    "encode",
+    "header",
+    "type_hash",
+]
+
+MESSAGES = {
+    # A stage's promise: `count` messages of each of its topics have been published, and none that
+    # follows is ready before `until_ns`. `accepted_ns` is the newest trigger it has dealt with,
+    # `busy_until_ns` the time before which it takes up no other. Of two promises the one with the
+    # higher `serial` is the newer; its upper half counts the lives of the node.
+    "zenfi_msgs/msg/Horizon": """
+        uint64 serial
+        int64 accepted_ns
+        int64 busy_until_ns
+        int64[] until_ns
+        uint64[] count
+    """,
+    # How the mission stands, told by the simulator once a second and at its end: `result` is
+    # "flying" or a MissionResult, `qof` the JSON of services.bus.outcome.QoF.
+    "zenfi_msgs/msg/Mission": """
+        std_msgs/Header header
+        string result
+        string qof
+    """,
+    # Where to fly, and the space that may be flown in.
+    "zenfi_msgs/msg/Goal": """
+        std_msgs/Header header
+        geometry_msgs/Point position
+        geometry_msgs/Point lower
+        geometry_msgs/Point upper
+    """,
+    # Verdict on the rest of the present trajectory (facts page, "collision check").
+    "zenfi_msgs/msg/CollisionCheck": """
+        std_msgs/Header header
+        uint32 trajectory_seq
+        uint32 future_collision_seq
+        bool collision
+        float64 time_to_collision
+    """,
+    # The paper's `multidoftraj`: row by row t, x y z, vx vy vz, ax ay az, yaw, blocking_yaw.
+    # An empty trajectory says that no path was found; `failed` that the planner gave the mission up.
+    "zenfi_msgs/msg/Trajectory": """
+        std_msgs/Header header
+        uint32 trajectory_seq
+        uint32 future_collision_seq
+        bool failed
+        float64[] points
+    """,
+    # What the injector did. `record` is the JSON of services.bus.outcome.InjectionRecord.
+    "zenfi_msgs/msg/Injection": """
+        string record
+    """,
+    "octomap_msgs/msg/Octomap": """
+        std_msgs/Header header
+        bool binary
+        string id
+        float64 resolution
+        int8[] data
+    """,
+}
+
+TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
+for _name, _text in MESSAGES.items():
+    TYPESTORE.register(get_types_from_msg("\n".join(map(str.strip, _text.splitlines())), _name))
+
+Goal = TYPESTORE.types["zenfi_msgs/msg/Goal"]
+Horizon = TYPESTORE.types["zenfi_msgs/msg/Horizon"]
+Injection = TYPESTORE.types["zenfi_msgs/msg/Injection"]
+Mission = TYPESTORE.types["zenfi_msgs/msg/Mission"]
+CollisionCheck = TYPESTORE.types["zenfi_msgs/msg/CollisionCheck"]
+Trajectory = TYPESTORE.types["zenfi_msgs/msg/Trajectory"]
+Octomap = TYPESTORE.types["octomap_msgs/msg/Octomap"]
+
+
+class MalformedMessageError(ValueError):
+    """Bytes on the bus that are not a message of the type that their topic declares."""
+
+
+def encode(message: Any, message_type: str) -> bytes:
+    """CDR bytes of ``message``."""
+    return bytes(TYPESTORE.serialize_cdr(message, message_type))
+
+
+def decode(payload: bytes, message_type: str) -> Any:
+    """The message in ``payload``; arrays are views into it.
+
+    :raises MalformedMessageError: if the bytes are too few or make no sense for the type.
+    """
+    try:
+        return TYPESTORE.deserialize_cdr(payload, message_type)
+    except (SerdeError, UnicodeDecodeError, ValueError, IndexError, MemoryError) as error:
+        message = f"{message_type}: {error}"
+        raise MalformedMessageError(message) from error
+
+
+def header(stamp_ns: int, frame_id: str) -> Header:
+    """A header with a virtual-time stamp."""
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=frame_id)
+
+
+def type_hash(message_type: str) -> str:
+    """The RIHS01 hash of a type, as it stands in rmw_zenoh's keys."""
+    return TYPESTORE.hash_rihs01(message_type)

@@ -1,0 +1,91 @@
+"""Inputs and outputs of a node: topics as a stage sees them at its present virtual time."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import zenoh
+
+from services.bus import session
+from services.bus.horizon import Channel, Stamped
+from services.bus.messages import MalformedMessageError, decode, encode
+from services.bus.topics import Topic
+
+RECENT = 64
+"""Messages that an input remembers for :meth:`Input.at`."""
+
+
+class Input:
+    """A subscribed topic."""
+
+    def __init__(self, topic: Topic, stage_rank: int, first_seq: int, start_ns: int) -> None:
+        self.topic = topic
+        self.channel = Channel(first_seq, start_ns if topic.qos == "stream" else 0)
+        self.before_only = topic.rank >= stage_rank
+        self.new: list[Stamped] = []
+        self.malformed = 0
+        self._recent: deque[Stamped] = deque(maxlen=RECENT)
+        self._latest: Any = None
+
+    def complete(self, now_ns: int) -> bool:
+        """Whether everything that the stage may see at ``now_ns`` is here."""
+        horizon = self.channel.horizon_ns
+        return horizon >= now_ns if self.before_only else horizon > now_ns
+
+    def deliver(self, now_ns: int) -> None:
+        """Make visible what is ready at ``now_ns``."""
+        self.new = self.channel.take(now_ns, inclusive=not self.before_only)
+        if self.new:
+            self._recent.extend(self.new)
+            self._latest = None
+
+    def read(self, message: Stamped) -> Any | None:
+        """The decoded message; None (and counted) if its bytes are malformed."""
+        try:
+            return decode(message.payload, self.topic.type)
+        except MalformedMessageError:
+            self.malformed += 1
+            return None
+
+    @property
+    def latest(self) -> Any | None:
+        """The newest well-formed message, None before the first."""
+        while self._latest is None and self._recent:
+            self._latest = self.read(self._recent[-1])
+            if self._latest is None:
+                self._recent.pop()
+        return self._latest
+
+    def at(self, ready_ns: int) -> Any | None:
+        """The message that became ready at exactly this time, if it is among the recent ones."""
+        for message in reversed(self._recent):
+            if message.ready_ns == ready_ns:
+                return self.read(message)
+        return None
+
+
+class Output:
+    """A published topic: numbers, stamps and sends messages."""
+
+    def __init__(self, owner: str, topic: Topic, lookahead_ns: int, published: int) -> None:
+        self.topic = topic
+        self.lookahead_ns = lookahead_ns
+        self.published = published
+        self._gid = session.publisher_gid(owner, topic.name)
+        self._publisher: zenoh.Publisher | None = None
+
+    def declare(self, on: zenoh.Session) -> None:
+        """Declare the publisher. Nothing may be lost on the way, so it waits rather than drops."""
+        self._publisher = on.declare_publisher(
+            session.topic_key(self.topic.name),
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            encoding=zenoh.Encoding.APPLICATION_CDR,
+        )
+
+    def put(self, message: Any, ready_ns: int) -> None:
+        """Publish ``message`` as ready at ``ready_ns``."""
+        assert self._publisher is not None, "declare() first"  # noqa: S101 - wiring, not input
+        payload = encode(message, self.topic.type)
+        self._publisher.put(payload, attachment=session.attach(self.published, ready_ns, self._gid))
+        self.published += 1

@@ -1,0 +1,103 @@
+"""Zenoh sessions: who listens where, and how messages are keyed and stamped.
+
+All sessions of a mission meet in one private folder of Unix sockets (mode 0700), so nothing listens
+on a network and only the same user can join. The supervisor's session is the router, nodes are peers
+that find each other by gossip; multicast scouting is off. Each mission has its own namespace.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import zenoh
+
+from services.bus.horizon import Stamped
+from services.bus.messages import type_hash
+from services.bus.topics import TOPICS
+
+DOMAIN_ID = 0
+LEASE_MS = 60_000
+"""A node that is stopped by the injector or by a debugger is not dead: the default of 10 s is too short."""
+
+_ATTACHMENT = struct.Struct("<qqB16s")
+
+
+@dataclass(frozen=True, slots=True)
+class Meeting:
+    """Where the sessions of one mission meet."""
+
+    folder: Path
+    namespace: str
+
+    def endpoint(self, name: str) -> str:
+        """The Unix socket on which session ``name`` listens."""
+        return f"unixsock-stream/{self.folder}/{name}.sock"
+
+
+def open_session(meeting: Meeting, name: str, *, router: bool = False) -> zenoh.Session:
+    """Open the session of a node, or of the supervisor (``router``)."""
+    settings = {
+        "mode": "router" if router else "peer",
+        "namespace": meeting.namespace,
+        "listen/endpoints": [meeting.endpoint(name)],
+        "connect/endpoints": [] if router else [meeting.endpoint("router")],
+        "connect/exit_on_failure": True,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": True,
+        "transport/link/tx/lease": LEASE_MS,
+        # A killed node must leave no shared-memory segment behind, and our messages are small.
+        "transport/shared_memory/enabled": False,
+    }
+    config = zenoh.Config()
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
+
+
+def topic_key(name: str) -> str:
+    """rmw_zenoh's data key: ``<domain>/<topic>/<DDS type>/<type hash>``."""
+    message_type = TOPICS[name].type
+    package, kind, short = message_type.split("/")
+    return f"{DOMAIN_ID}/{name}/{package}::{kind}::dds_::{short}_/{type_hash(message_type)}"
+
+
+def horizon_key(stage: str) -> str:
+    """Where a stage's promises go."""
+    return f"horizon/{stage}"
+
+
+def gate_key(node: str) -> str:
+    """Where a node asks the injector's leave at the entry and exit of an armed kernel."""
+    return f"gate/{node}"
+
+
+HISTORY_KEY = "history"
+"""Where the recorder answers for messages that did not arrive."""
+
+
+def publisher_gid(node: str, topic: str) -> bytes:
+    """The 16-byte identity of a publisher: the same in every repetition of a flight."""
+    return hashlib.blake2b(f"{node}/{topic}".encode(), digest_size=16).digest()
+
+
+def attach(seq: int, ready_ns: int, gid: bytes) -> bytes:
+    """rmw_zenoh's attachment: sequence number, source timestamp (virtual time), publisher."""
+    return _ATTACHMENT.pack(seq, ready_ns, len(gid), gid)
+
+
+def stamped(sample: zenoh.Sample) -> Stamped:
+    """The message in a sample.
+
+    :raises ValueError: if the attachment is missing or not of rmw_zenoh's form.
+    """
+    attachment = sample.attachment
+    raw = attachment.to_bytes() if attachment is not None else b""
+    if len(raw) != _ATTACHMENT.size:
+        message = f"{sample.key_expr}: attachment of {len(raw)} bytes, expected {_ATTACHMENT.size}"
+        raise ValueError(message)
+    seq, ready_ns, _, _ = _ATTACHMENT.unpack(raw)
+    return Stamped(seq, ready_ns, sample.payload.to_bytes())

@@ -1,0 +1,56 @@
+"""What a node leaves behind when it dies: a page of memory shared with its supervisor.
+
+The page outlives the node, so the supervisor can tell at which virtual time a node crashed, how many
+messages it had published and whether it still computes. It carries nothing that influences a flight.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+
+import numpy as np
+
+MAX_TOPICS = 8
+MAX_KERNELS = 16
+
+_LAYOUT = np.dtype(
+    [
+        ("step_ns", np.int64),  # virtual time of the step under way or last finished
+        ("computing", np.int64),  # 1 within a step, 0 while waiting
+        ("steps", np.int64),
+        ("dropped", np.int64),  # triggers superseded while busy
+        ("recovered", np.int64),  # messages fetched again from the recorder
+        ("compute_wall_ns", np.int64),
+        ("messaging_wall_ns", np.int64),
+        ("waiting_wall_ns", np.int64),
+        ("published", np.int64, (MAX_TOPICS,)),  # by the order of the topic table
+        ("invocations", np.int64, (MAX_KERNELS,)),  # by the order of the node's kernel names
+        ("cpu_ns", np.int64, (MAX_KERNELS,)),
+        ("last_cpu_ns", np.int64, (MAX_KERNELS,)),
+    ]
+)
+
+
+class Vitals:
+    """One node's page. The supervisor creates it, the node maps the same file descriptor."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        self._map = mmap.mmap(descriptor, _LAYOUT.itemsize)
+        self._record = np.frombuffer(self._map, dtype=_LAYOUT)
+        self.page: np.void = self._record[0]
+
+    @classmethod
+    def create(cls, name: str) -> Vitals:
+        """A new page in anonymous memory, gone with its last owner."""
+        descriptor = os.memfd_create(f"zenfi-{name}", os.MFD_CLOEXEC)
+        os.ftruncate(descriptor, _LAYOUT.itemsize)
+        return cls(descriptor)
+
+    def close(self) -> None:
+        """Unmap the page and close its descriptor."""
+        del self.page
+        del self._record
+        self._map.close()
+        os.close(self.descriptor)
