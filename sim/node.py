@@ -1,0 +1,77 @@
+"""The simulator on the bus: owns the clock, publishes sensors, flies the commands."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.bus.horizon import NEVER_NS
+from services.bus.messages import Mission, TwistStamped, header
+from services.bus.node import Node, NodeSetup
+from services.bus.ports import Input
+from services.bus.session import Meeting
+from services.bus.topics import TICK_NS
+from services.bus.vitals import Vitals
+from sim import telemetry
+from sim.airframe import AIRFRAMES
+from sim.camera import DepthCamera
+from sim.flight import Flight
+from sim.vehicle import Floats
+from sim.world import make_world
+
+
+def warm_up() -> None:
+    """Compile the kernels before there is a flight."""
+    flight = Flight(make_world("sparse", 0), AIRFRAMES["airsim"], 1.0)
+    flight.advance(0, [(0, np.zeros(4))])
+    DepthCamera().render(flight.vehicle)
+
+
+def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
+    """Fly the mission tick by tick until the referee ends it."""
+    spec = setup.spec
+    world = make_world(spec.world, spec.seed)
+    flight = Flight(world, AIRFRAMES[spec.airframe], spec.limits.mission_time_s)
+    camera = DepthCamera()
+    with Node(setup, meeting, vitals) as node:
+        commands, plan = node.input("command"), node.input("trajectory")
+        node.watch("perception")
+        node.ready()
+        node.put("goal", telemetry.goal(header(0, "map"), world))
+        node.put("camera_info", telemetry.camera_info(header(0, "camera"), camera))
+        exposed_ns = -1
+        while True:
+            now_ns = node.now_ns
+            node.put("odometry", telemetry.odometry(header(now_ns, "map"), flight.vehicle))
+            node.put("imu", telemetry.imu(header(now_ns, "body"), flight.vehicle))
+            # A frame that a newer one will have replaced when perception is free is not exposed.
+            if now_ns + TICK_NS > node.busy_until("perception", exposed_ns):
+                node.put("depth", telemetry.depth_image(header(now_ns, "camera"), camera, flight.vehicle))
+                exposed_ns = now_ns
+            else:
+                node.skip()
+            if report(node, flight, plan):
+                node.promise(NEVER_NS, NEVER_NS)
+                return
+            node.promise(now_ns + TICK_NS, now_ns)
+            node.advance(now_ns + TICK_NS)
+            flight.advance(now_ns, [(one.ready_ns, velocity(commands.read(one))) for one in commands.new])
+
+
+def report(node: Node, flight: Flight, plan: Input) -> bool:
+    """Publish how the mission stands, once a second and at its end; whether it has ended."""
+    newest = plan.latest
+    replans = max(newest.trajectory_seq - 1, 0) if newest is not None else 0
+    result = flight.judge(no_path=newest is not None and bool(newest.failed))
+    if result is not None or node.now_ns % 1_000_000_000 == 0:
+        qof = flight.qof(success=result == "success", replans=int(replans))
+        stamp = header(node.now_ns, "map")
+        node.put("mission", Mission(header=stamp, result=result or "flying", qof=qof.model_dump_json()))
+    return result is not None
+
+
+def velocity(command: TwistStamped | None) -> Floats:
+    """The velocity and yaw rate of a command; hover if it was malformed."""
+    if command is None:
+        return np.zeros(4)
+    linear, angular = command.twist.linear, command.twist.angular
+    return np.array([linear.x, linear.y, linear.z, angular.z])

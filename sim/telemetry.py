@@ -1,0 +1,95 @@
+"""Sensor messages of the simulated vehicle. Frames: ``map`` the world, ``body`` and ``camera`` on board."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from services.bus.arrays import point, quaternion, vector
+from services.bus.messages import (
+    CameraInfo,
+    Goal,
+    Header,
+    Image,
+    Imu,
+    Odometry,
+    Pose,
+    PoseWithCovariance,
+    RegionOfInterest,
+    Twist,
+    TwistWithCovariance,
+)
+from sim.camera import DepthCamera
+from sim.vehicle import Vehicle
+from sim.world import World
+
+_EXACT = np.zeros(36)
+_EXACT_3 = np.zeros(9)
+
+
+def odometry(header: Header, vehicle: Vehicle) -> Odometry:
+    """Pose in the world; linear velocity in the world frame, angular velocity in the body frame."""
+    pose = Pose(position=point(vehicle.position), orientation=quaternion(vehicle.quaternion))
+    twist = Twist(linear=vector(vehicle.velocity), angular=vector(vehicle.body_rates))
+    return Odometry(
+        header=header,
+        child_frame_id="body",
+        pose=PoseWithCovariance(pose=pose, covariance=_EXACT),
+        twist=TwistWithCovariance(twist=twist, covariance=_EXACT),
+    )
+
+
+def imu(header: Header, vehicle: Vehicle) -> Imu:
+    """Attitude, body rates and specific force of a perfect IMU in the centre of mass."""
+    return Imu(
+        header=header,
+        orientation=quaternion(vehicle.quaternion),
+        orientation_covariance=_EXACT_3,
+        angular_velocity=vector(vehicle.body_rates),
+        angular_velocity_covariance=_EXACT_3,
+        linear_acceleration=vector(vehicle.specific_force),
+        linear_acceleration_covariance=_EXACT_3,
+    )
+
+
+def depth_image(header: Header, camera: DepthCamera, vehicle: Vehicle) -> Image:
+    """What the depth camera sees, encoding 32FC1."""
+    depth = camera.render(vehicle)
+    return Image(
+        header=header,
+        height=camera.height,
+        width=camera.width,
+        encoding="32FC1",
+        is_bigendian=0,
+        step=4 * camera.width,
+        data=depth.reshape(-1).view(np.uint8),
+    )
+
+
+def camera_info(header: Header, camera: DepthCamera) -> CameraInfo:
+    """The camera's intrinsics: an ideal pinhole."""
+    intrinsics = np.array([camera.fx, 0, camera.cx, 0, camera.fy, camera.cy, 0, 0, 1.0])
+    return CameraInfo(
+        header=header,
+        height=camera.height,
+        width=camera.width,
+        distortion_model="plumb_bob",
+        d=np.zeros(5),
+        k=intrinsics,
+        r=np.eye(3).ravel(),
+        p=np.insert(intrinsics, [3, 6, 9], 0.0),
+        binning_x=0,
+        binning_y=0,
+        roi=RegionOfInterest(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False),
+    )
+
+
+def goal(header: Header, world: World) -> Any:
+    """Where to fly, and the space that may be flown in."""
+    return Goal(
+        header=header,
+        position=point(world.goal),
+        lower=point(world.bounds[0]),
+        upper=point(world.bounds[1]),
+    )

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+from math import tan
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from sim.airframe import airframe
+from sim.camera import DepthCamera
+from sim.vehicle import Vehicle
+from tests.sim.worlds import world_with
+
+CAMERA = DepthCamera()
+AIRSIM = airframe("airsim")
+
+
+def points_seen(camera: DepthCamera, vehicle: Vehicle, depth: NDArray[np.float64]) -> NDArray[np.float64]:
+    """World points (h, w, 3) at these depths, as perception reprojects them from the intrinsics."""
+    v, u = np.indices(depth.shape)
+    optical = np.stack(
+        [(u - camera.cx) / camera.fx * depth, (v - camera.cy) / camera.fy * depth, depth], axis=-1
+    )
+    body = np.stack([optical[..., 2], -optical[..., 0], -optical[..., 1]], axis=-1)
+    return np.asarray(vehicle.position + body @ vehicle.rotation.T)
+
+
+def inside(points: NDArray[np.float64], box: NDArray[np.float64], margin: float) -> NDArray[np.bool_]:
+    return np.asarray(((points > box[:3] + margin) & (points < box[3:] - margin)).all(axis=-1))
+
+
+def test_intrinsics_of_the_default_camera() -> None:
+    """64 x 36 pixels over 90 degrees; pixel centres lie at whole numbers."""
+    assert CAMERA.fx == CAMERA.fy == pytest.approx(32.0)
+    assert (CAMERA.cx, CAMERA.cy) == (31.5, 17.5)
+
+
+def test_a_wall_ahead_has_one_depth() -> None:
+    # Hull and camera share the centre: a camera that saw its own hull would report it here.
+    vehicle = Vehicle(world_with((8.0, -40.0, -40.0, 9.0, 40.0, 40.0), start=(0.0, 0.0, 30.0)), AIRSIM)
+    image = CAMERA.render(vehicle)
+    assert image.dtype == np.float32
+    assert image.shape == (36, 64)
+    assert image == pytest.approx(8.0, abs=1e-5)
+
+
+@given(st.floats(1.0, 19.9), st.floats(-0.6, 0.6))
+@settings(max_examples=25, deadline=None)
+def test_depth_of_a_slanted_wall_is_the_analytic_one(distance: float, heading: float) -> None:
+    """The wall is x = distance; the nose points ``heading`` off its normal."""
+    goal = (50 * np.cos(heading), 50 * np.sin(heading), 40.0)
+    wall = (distance, -100.0, 0.0, distance + 1.0, 100.0, 80.0)
+    vehicle = Vehicle(world_with(wall, start=(0.0, 0.0, 40.0), goal=goal), AIRSIM)
+    image = CAMERA.render(vehicle)
+    left = (CAMERA.cx - np.arange(CAMERA.width)) / CAMERA.fx
+    depth = distance / (np.cos(heading) - left * np.sin(heading))
+    expected = np.where((depth > 0) & (depth <= CAMERA.range_m), depth, np.inf)
+    # At the very edge of the range rounding decides.
+    clear = np.abs(depth - CAMERA.range_m) > 1e-3
+    assert image[:, clear] == pytest.approx(np.tile(expected, (CAMERA.height, 1))[:, clear], rel=1e-5)
+
+
+@given(
+    centre=st.tuples(st.floats(2.5, 18.0), st.floats(-9.0, 9.0), st.floats(0.0, 9.0)),
+    size=st.tuples(st.floats(0.3, 3.0), st.floats(0.3, 3.0), st.floats(0.3, 9.0)),
+    command=st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-1, 1), st.floats(-1.5, 1.5)),
+)
+@settings(max_examples=40, deadline=None)
+def test_it_never_sees_through_a_box_and_sees_nothing_that_is_not_there(
+    centre: tuple[float, ...], size: tuple[float, ...], command: tuple[float, ...]
+) -> None:
+    box = np.array([*np.subtract(centre, np.divide(size, 2)), *np.add(centre, np.divide(size, 2))])
+    vehicle = Vehicle(world_with(box.tolist(), start=(0.0, 0.0, 3.0)), AIRSIM)
+    vehicle.advance(np.array(command), 60)
+    image = CAMERA.render(vehicle).astype(np.float64)
+    seen = np.isfinite(image)
+    reach = np.where(seen, image, CAMERA.range_m)
+    for fraction in np.linspace(0.02, 1.0, 50):
+        on_the_way = points_seen(CAMERA, vehicle, fraction * reach)
+        assert not inside(on_the_way, box, margin=1e-4).any()
+        assert (on_the_way[..., 2] > -1e-4).all()
+    ends = points_seen(CAMERA, vehicle, reach)[seen]
+    assert (inside(ends, box, margin=-1e-4) | (np.abs(ends[:, 2]) < 1e-4)).all()
+
+
+def test_left_is_left_and_down_is_down() -> None:
+    vehicle = Vehicle(world_with((5.0, 2.0, 0.0, 6.0, 3.0, 20.0)), AIRSIM)
+    image = CAMERA.render(vehicle)
+    row = image[0]
+    columns = np.flatnonzero(np.isfinite(row))
+    # The box spans y / x from 2/6 to 3/5 to the left.
+    assert columns.min() == np.ceil(CAMERA.cx - CAMERA.fx * 3 / 5)
+    assert columns.max() == np.floor(CAMERA.cx - CAMERA.fx * 2 / 6)
+    assert np.isfinite(image[-1]).all(), "the ground, 5 m below"
+    assert np.isinf(image[:17, 40:]).all(), "the sky"
+
+
+def test_range_ends_and_resolution_is_free() -> None:
+    vehicle = Vehicle(world_with((8.0, -40.0, -40.0, 9.0, 40.0, 40.0), start=(0.0, 0.0, 30.0)), AIRSIM)
+    assert np.isposinf(DepthCamera(range_m=7.99).render(vehicle)).all()
+    narrow = DepthCamera(width=32, height=8, fov_rad=0.5, range_m=8.01)
+    assert narrow.render(vehicle) == pytest.approx(8.0 * np.ones((8, 32)), abs=1e-5)
+    assert narrow.fx == pytest.approx(16 / tan(0.25))
