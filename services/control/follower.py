@@ -1,0 +1,92 @@
+"""What control flies at the moment: a trajectory, a stop or a hover."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.control.pid import STATE_SIZE, pid, stopping
+
+BRAKE_BELOW_S = 2.0
+"""A collision nearer than this is braked for: a second from full speed to rest, a frame of perception
+and its latency. One farther off leaves planning the time to lead around it in flight."""
+
+DECELERATION_M_S2 = 4.0
+
+Command = NDArray[np.float64]
+
+
+class Follower:
+    """Keeps the newest trajectory and says which curve the kernel has to follow.
+
+    All it knows is the newest trajectory and the newest verdict, so a stage that was restarted in
+    flight is in the picture again once it has both; until then it stops and hovers. Times are virtual,
+    in s.
+    """
+
+    def __init__(self, brake_below_s: float = BRAKE_BELOW_S) -> None:
+        self._brake_below_s = brake_below_s
+        self._followed: NDArray[np.float64] | None = None
+        self._followed_seq: int | None = None
+        self._coming: tuple[int, NDArray[np.float64]] | None = None
+        self._stop: NDArray[np.float64] | None = None
+        self._collisions = 0
+        self._collision_at_s = math.inf
+        self._collision_on: int | None = None
+        self._state = np.zeros(STATE_SIZE)
+
+    def take_trajectory(
+        self, trajectory_seq: int, future_collision_seq: int, points: NDArray[np.float64]
+    ) -> bool:
+        """Take in a trajectory (n, 12), or an empty one for: no path, stop. False if it is refused.
+
+        One that was planned before the newest collision was found is refused. It is flown from its
+        first row's time on; the present one is kept until then.
+        """
+        if future_collision_seq < self._collisions:
+            return False
+        self._coming = (trajectory_seq, points)
+        return True
+
+    def take_verdict(
+        self, checked_s: float, trajectory_seq: int, future_collision_seq: int, time_to_collision_s: float
+    ) -> None:
+        """Take in a verdict: ``time_to_collision_s`` from ``checked_s`` on, ``inf`` for no collision."""
+        self._collisions = future_collision_seq
+        self._collision_on = trajectory_seq
+        self._collision_at_s = checked_s + time_to_collision_s
+
+    def command(
+        self,
+        now_s: float,
+        position: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+        yaw: float,
+        period_s: float,
+    ) -> Command:
+        """Flight command (vx, vy, vz, yaw rate) for the present state."""
+        curve = self.curve(now_s, position, velocity, yaw)
+        return pid(curve, now_s, position, velocity, yaw, period_s, self._state)
+
+    def curve(
+        self, now_s: float, position: NDArray[np.float64], velocity: NDArray[np.float64], yaw: float
+    ) -> NDArray[np.float64]:
+        """The trajectory to follow now: the newest, or a stop from the present state."""
+        if self._coming is not None:
+            seq, points = self._coming
+            if len(points) == 0 or now_s >= points[0, 0]:
+                self._coming = None
+                self._followed_seq = seq
+                self._followed = points if len(points) else None
+                self._stop = None if len(points) else self._stop
+        if self._followed is not None and self._collision_on == self._followed_seq:
+            if self._collision_at_s - now_s < self._brake_below_s:
+                self._followed = None
+        if self._followed is not None:
+            return self._followed
+        if self._stop is None:
+            self._stop = stopping(now_s, position, velocity, yaw, DECELERATION_M_S2)
+            self._state[:] = 0.0
+        return self._stop

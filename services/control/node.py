@@ -1,0 +1,54 @@
+"""Control on the bus: one flight command for each odometry message."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.bus.arrays import POINT_FIELDS, plan, state, vector, verdict
+from services.bus.messages import Twist, TwistStamped, header
+from services.bus.node import Node, NodeSetup
+from services.bus.session import Meeting
+from services.bus.topics import TICK_NS
+from services.bus.vitals import Vitals
+from services.control.follower import Follower
+
+TICK_S = TICK_NS / 1e9
+
+
+def warm_up() -> None:
+    """Compile the kernels before there is a flight."""
+    follower = Follower()
+    state = np.zeros(3), np.ones(3), 0.0
+    follower.command(0.0, *state, TICK_S)
+    # What comes from the bus is read-only: to numba a type of its own.
+    points = np.zeros((2, POINT_FIELDS))
+    points.setflags(write=False)
+    follower.take_trajectory(1, 0, points)
+    follower.command(1.0, *state, TICK_S)
+
+
+def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
+    """Follow the newest trajectory, brake for what the collision check finds."""
+    follower = Follower()
+    with Node(setup, meeting, vitals) as node:
+        odometry, check, trajectory = (
+            node.input("odometry"),
+            node.input("collision_check"),
+            node.input("trajectory"),
+        )
+        node.ready()
+        for measured in node.spin(odometry):
+            for message in map(check.read, check.new):
+                if message is not None:
+                    follower.take_verdict(*verdict(message))
+            for message in map(trajectory.read, trajectory.new):
+                if message is not None:
+                    follower.take_trajectory(*plan(message)[:3])
+            here = odometry.read(measured)
+            if here is None:
+                continue
+            now_s, (position, velocity, _, yaw) = node.now_ns / 1e9, state(here)
+            with node.kernel("pid"):
+                command = follower.command(now_s, position, velocity, yaw, TICK_S)
+            twist = Twist(linear=vector(command[:3]), angular=vector(np.array([0.0, 0.0, command[3]])))
+            node.put("command", TwistStamped(header=header(node.now_ns, "map"), twist=twist))

@@ -1,0 +1,57 @@
+"""Perception's messages from and to the arrays of its kernels."""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.bus.arrays import Plan
+from services.bus.messages import CollisionCheck, Header, Image, Octomap, PointCloud2, PointField
+from services.perception.occupancy import OccupancyMap
+
+_FIELDS = [PointField(name, 4 * i, PointField.FLOAT32, 1) for i, name in enumerate("xyz")]
+
+
+def depth_array(image: Image) -> NDArray[np.float32]:
+    """The depth image (h, w) of a 32FC1 message."""
+    return image.data.view(np.float32).reshape(image.height, image.width)
+
+
+def cloud_message(header: Header, points: NDArray[np.float32]) -> PointCloud2:
+    """A cloud of ``points`` (n, 3)."""
+    return PointCloud2(
+        header=header,
+        height=1,
+        width=len(points),
+        fields=_FIELDS,
+        is_bigendian=False,
+        point_step=12,
+        row_step=12 * len(points),
+        data=np.ascontiguousarray(points).reshape(-1).view(np.uint8),
+        is_dense=True,
+    )
+
+
+def map_message(header: Header, occupancy: OccupancyMap) -> Any:
+    """The occupancy map as a binary octree."""
+    return Octomap(
+        header=header,
+        binary=True,
+        id="OcTree",
+        resolution=occupancy.resolution_m,
+        data=np.frombuffer(occupancy.to_binary(), dtype=np.int8),
+    )
+
+
+def check_message(header: Header, plan: Plan, future_collision_seq: int, time_to_collision_s: float) -> Any:
+    """The verdict on ``plan``; the header's stamp is the time from which the time to collision counts."""
+    return CollisionCheck(
+        header=header,
+        trajectory_seq=plan.trajectory_seq,
+        future_collision_seq=future_collision_seq,
+        collision=isfinite(time_to_collision_s),
+        time_to_collision=time_to_collision_s,
+    )

@@ -1,0 +1,65 @@
+"""Perception on the bus: depth images to point cloud, occupancy map and collision verdict."""
+
+from __future__ import annotations
+
+from math import isfinite
+
+import numpy as np
+
+from services.bus.arrays import NO_PLAN, POINT_FIELDS, plan, state
+from services.bus.messages import header
+from services.bus.node import Node, NodeSetup
+from services.bus.session import Meeting
+from services.bus.vitals import Vitals
+from services.perception.collision import CollisionCounter, time_to_collision
+from services.perception.messages import check_message, cloud_message, depth_array, map_message
+from services.perception.occupancy import OccupancyMap
+from services.perception.point_cloud import point_cloud
+
+
+def warm_up() -> None:
+    """Compile the kernels before there is a flight."""
+    occupancy = OccupancyMap()
+    depth = np.full((2, 2), 5.0, dtype=np.float32)
+    # A frame's buffer comes from the bus and is read-only: to numba a type of its own.
+    depth.setflags(write=False)
+    attitude = np.array([1.0, 0.0, 0.0, 0.0])
+    cloud = point_cloud(depth, 1.0, 1.0, 0.5, 0.5, np.zeros(3), attitude, occupancy.range_m)
+    occupancy.insert(cloud, np.zeros(3))
+    occupancy.to_binary()
+    points = np.zeros((2, POINT_FIELDS))
+    points[1, :2] = 1.0
+    for way in (points, NO_PLAN.points):
+        way.setflags(write=False)
+        time_to_collision(way, 0.0, occupancy)
+
+
+def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
+    """Take up the newest frame whenever free."""
+    occupancy, counter = OccupancyMap(), CollisionCounter()
+    with Node(setup, meeting, vitals) as node:
+        depth, odometry = node.input("depth"), node.input("odometry")
+        camera, trajectory = node.input("camera_info"), node.input("trajectory")
+        node.ready()
+        for frame in node.spin(depth):
+            image, here, info = depth.read(frame), odometry.at(frame.ready_ns), camera.latest
+            if image is None or here is None or info is None:
+                continue
+            pose = state(here)
+            fx, cx, fy, cy = info.k[[0, 2, 4, 5]]
+            with node.kernel("point_cloud"):
+                cloud = point_cloud(
+                    depth_array(image), fx, fy, cx, cy, pose.position, pose.attitude, occupancy.range_m
+                )
+            node.put("cloud", cloud_message(header(frame.ready_ns, "map"), cloud))
+            with node.kernel("octomap"):
+                occupancy.insert(cloud, pose.position)
+            node.put("map", map_message(header(frame.ready_ns, "map"), occupancy))
+            flown = NO_PLAN if trajectory.latest is None else plan(trajectory.latest)
+            checked_ns = node.now_ns
+            with node.kernel("collision_check"):
+                left_s = time_to_collision(flown.points, checked_ns / 1e9, occupancy)
+            found = counter.update(
+                flown.trajectory_seq, flown.future_collision_seq, collision=isfinite(left_s)
+            )
+            node.put("collision_check", check_message(header(checked_ns, "map"), flown, found, left_s))

@@ -1,0 +1,67 @@
+"""Planning on the bus: decides verdict by verdict whether to plan, and publishes trajectories."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.bus import rng
+from services.bus.arrays import Floats, plan_message, state, verdict, xyz
+from services.bus.messages import header
+from services.bus.node import Node, NodeSetup
+from services.bus.session import Meeting
+from services.bus.vitals import Vitals
+from services.planning.pilot import Navigator, Request
+from services.planning.planners import PLANNERS, plan
+from services.planning.trajectory import Departure, trajectory
+from services.planning.voxels import MalformedMap, VoxelGrid, unpack
+
+
+def warm_up() -> None:
+    """Compile the kernels before there is a flight."""
+    corner = np.array([12.0, 12.0, 6.0])
+    start = Departure(0.0, np.array([2.0, 2.0, 2.0]), np.zeros(3), np.zeros(3), 0.0)
+    grid = unpack(b"", 1.0, np.zeros(3), corner)
+    for planner in PLANNERS:
+        path = plan(planner, grid, start.position, corner - 2.0, 1)
+        if path is not None:
+            trajectory(path, start, grid)
+
+
+def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
+    """Take up the newest verdict whenever free."""
+    navigator: Navigator | None = None
+    with Node(setup, meeting, vitals) as node:
+        check, odometry = node.input("collision_check"), node.input("odometry")
+        octomap, goal = node.input("map"), node.input("goal")
+        node.ready()
+        latency_s = (node.latency_ns(node.spec.planner) + node.latency_ns("trajectory")) / 1e9
+        for checked in node.spin(check):
+            found, here, known, aim = check.read(checked), odometry.latest, octomap.latest, goal.latest
+            if found is None or here is None or known is None or aim is None:
+                continue
+            if navigator is None:
+                navigator = Navigator(xyz(aim.position), latency_s)
+            now = state(here)
+            request = navigator.consider(
+                node.now_ns / 1e9, now.position, now.velocity, now.yaw, verdict(found)
+            )
+            if request is None:
+                continue
+            try:
+                grid = unpack(known.data.tobytes(), known.resolution, *request.box())
+            except MalformedMap:
+                octomap.malformed += 1
+                continue
+            answer = navigator.answer(request, make(node, request, grid))
+            node.put("trajectory", plan_message(header(node.now_ns, "map"), answer))
+
+
+def make(node: Node, request: Request, grid: VoxelGrid) -> Floats | None:
+    """The trajectory that is asked for, or None if there is no way."""
+    seed = rng.native_seed(node.spec.seed, "planner", request.trajectory_seq)
+    with node.kernel(node.spec.planner):
+        path = plan(node.spec.planner, grid, request.departure.position, request.goal, seed)
+    if path is None:
+        return None
+    with node.kernel("trajectory"):
+        return trajectory(path, request.departure, grid)

@@ -1,0 +1,246 @@
+"""Kernels: sampling-based planners of OMPL on a voxel grid, then shortcuts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from ompl import base, geometric
+from ompl import util as ompl_util
+
+from services.planning.voxels import FREE, NEAR, OCCUPIED, VoxelGrid, edge_clear, level_at
+
+ompl_util.noOutputHandler()
+
+PLANNERS: Mapping[str, type] = MappingProxyType(
+    {"rrt": geometric.RRT, "rrt_connect": geometric.RRTConnect, "rrt_star": geometric.RRTstar}
+)
+
+ITERATIONS = 600
+"""Budget of one plan: iterations, not seconds, so that it is the same on every machine."""
+
+EDGE_M = 8.0
+"""Longest edge of the tree."""
+
+GOOD_ENOUGH = 1.02
+"""RRT* stops at a path this many times as long as the straight line."""
+
+CLIMB_WEIGHT = 3.0
+"""A metre up or down counts as much as these many sideways: the camera looks ahead, and 29 degrees
+above and below is all that it sees of where a climb leads."""
+
+NEAREST_FREE_M = 6.0
+"""How far from a blocked start or goal a free voxel is looked for."""
+
+_METRIC = np.array([1.0, 1.0, CLIMB_WEIGHT])  # from metres to the space that OMPL searches
+_SHORTCUT_STEP_M = 1.0
+
+
+def plan(
+    planner: str,
+    grid: VoxelGrid,
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    seed: int,
+    iterations: int = ITERATIONS,
+) -> NDArray[np.float64] | None:
+    """A path from ``start`` to ``goal`` (3,), world frame, as corners (n, 3), or None.
+
+    ``planner`` is a name in ``PLANNERS``; the grid's box is where it looks. Every edge keeps out of
+    voxels of level NEAR, except that a start which lies in one is left by the straight line to the
+    nearest free voxel. A goal that is blocked is replaced by the nearest free voxel. None if there is
+    no such voxel, or no path within the budget. The same arguments give the same path.
+    """
+    entry = nearest_free(grid, start)
+    target = nearest_free(grid, goal)
+    if entry is None or target is None:
+        return None
+    found = _search(planner, grid, entry, target, seed, iterations)
+    if found is None:
+        return None
+    path = shorten(found, grid.levels, grid.origin, grid.resolution_m)
+    return path if np.array_equal(entry, start) else np.vstack((start, path))
+
+
+def nearest_free(grid: VoxelGrid, point: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """``point`` itself if its voxel is free, else the centre of the nearest free voxel in reach.
+
+    In reach means that the straight line there crosses no occupied voxel; leaving the voxel of
+    ``point``, whatever is in it, is allowed.
+    """
+    if grid.level(point) == FREE:
+        return point
+    found = _nearest_free(grid.levels, grid.origin, grid.resolution_m, point, NEAREST_FREE_M)
+    return found if len(found) else None
+
+
+def _search(
+    planner: str,
+    grid: VoxelGrid,
+    start: NDArray[np.float64],
+    goal: NDArray[np.float64],
+    seed: int,
+    iterations: int,
+) -> NDArray[np.float64] | None:
+    """Corners of the path that OMPL finds within the budget, if any."""
+    ompl_util.RNG.setSeed(seed)  # before anything that draws is made
+    low = grid.origin * _METRIC
+    high = low + np.array(grid.levels.shape) * grid.resolution_m * _METRIC
+    ends = (start * _METRIC, goal * _METRIC)
+    space = base.RealVectorStateSpace(3)
+    bounds = base.RealVectorBounds(3)
+    for axis in range(3):
+        bounds.setLow(axis, float(low[axis]))
+        bounds.setHigh(axis, float(high[axis]))
+    space.setBounds(bounds)
+    setup = geometric.SimpleSetup(space)
+    information = setup.getSpaceInformation()
+    validator = _EdgeValidator(information, grid)
+    information.setMotionValidator(validator)
+    setup.setStateValidityChecker(validator.state_clear)
+    objective = base.PathLengthOptimizationObjective(information)
+    objective.setCostThreshold(base.Cost(GOOD_ENOUGH * float(np.linalg.norm(ends[1] - ends[0]))))
+    setup.setOptimizationObjective(objective)
+    states = (space.allocState(), space.allocState())
+    for state, point in zip(states, ends, strict=True):
+        for axis in range(3):
+            state[axis] = float(point[axis])
+    setup.setStartAndGoalStates(*states)
+    algorithm = PLANNERS[planner](information)
+    algorithm.setRange(EDGE_M)
+    setup.setPlanner(algorithm)
+    budget = _Budget(iterations)
+    setup.solve(base.PlannerTerminationCondition(budget.spent))
+    if not setup.haveExactSolutionPath():
+        return None
+    path = setup.getSolutionPath()
+    corners = [path.getState(i) for i in range(path.getStateCount())]
+    return np.array([[state[axis] for axis in range(3)] for state in corners]) / _METRIC
+
+
+class _EdgeValidator(base.MotionValidator):  # type: ignore[misc]
+    """OMPL's question whether an edge is free, answered by one walk through the grid."""
+
+    def __init__(self, information: Any, grid: VoxelGrid) -> None:
+        super().__init__(information)
+        self._grid = (grid.levels, grid.origin, grid.resolution_m)
+
+    def checkMotion(self, a: Any, b: Any) -> bool:  # noqa: N802 - OMPL's name
+        z = (a[2] / CLIMB_WEIGHT, b[2] / CLIMB_WEIGHT)
+        return bool(edge_clear(*self._grid, a[0], a[1], z[0], b[0], b[1], z[1], NEAR))
+
+    def state_clear(self, state: Any) -> bool:
+        return bool(level_at(*self._grid, state[0], state[1], state[2] / CLIMB_WEIGHT) == FREE)
+
+
+class _Budget:
+    """Counts down the iterations; OMPL asks once in each."""
+
+    def __init__(self, iterations: int) -> None:
+        self._left = iterations
+
+    def spent(self) -> bool:
+        self._left -= 1
+        return self._left < 0
+
+
+@njit(cache=True)
+def shorten(
+    path: NDArray[np.float64], levels: NDArray[np.uint8], origin: NDArray[np.float64], resolution: float
+) -> NDArray[np.float64]:
+    """The path (n, 3) with detours cut off: forwards, then backwards, so that both ends are served.
+
+    From each point the farthest later point in free sight is next; points lie every metre or closer.
+    """
+    for _ in range(2):
+        dense = _subdivide(path, _SHORTCUT_STEP_M)
+        kept = np.empty_like(dense)
+        kept[0] = dense[0]
+        count, here = 1, 0
+        while here < len(dense) - 1:
+            there = len(dense) - 1
+            while there > here + 1:
+                a, b = dense[here], dense[there]
+                if edge_clear(levels, origin, resolution, a[0], a[1], a[2], b[0], b[1], b[2], NEAR):
+                    break
+                there -= 1
+            kept[count] = dense[there]
+            count += 1
+            here = there
+        path = kept[:count][::-1].copy()
+    return path
+
+
+@njit(cache=True)
+def _subdivide(path: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+    """The path with points on its legs at most ``step`` apart."""
+    pieces = np.empty(len(path) - 1, dtype=np.int64)
+    for leg in range(len(path) - 1):
+        pieces[leg] = max(1, math.ceil(np.sqrt(np.sum((path[leg + 1] - path[leg]) ** 2)) / step))
+    dense = np.empty((pieces.sum() + 1, 3))
+    dense[0] = path[0]
+    count = 1
+    for leg in range(len(path) - 1):
+        for piece in range(1, pieces[leg] + 1):
+            dense[count] = path[leg] + (path[leg + 1] - path[leg]) * (piece / pieces[leg])
+            count += 1
+    return dense
+
+
+@njit(cache=True)
+def _nearest_free(
+    levels: NDArray[np.uint8],
+    origin: NDArray[np.float64],
+    resolution: float,
+    point: NDArray[np.float64],
+    reach: float,
+) -> NDArray[np.float64]:
+    """Centre of the nearest free voxel in reach as an array (3,), or an empty array."""
+    found = np.empty(0)
+    nearest = reach
+    span = math.ceil(reach / resolution)
+    base_voxel = np.floor((point - origin) / resolution).astype(np.int64)
+    centre = np.empty(3)
+    nx, ny, nz = levels.shape
+    for i in range(max(base_voxel[0] - span, 0), min(base_voxel[0] + span + 1, nx)):
+        for j in range(max(base_voxel[1] - span, 0), min(base_voxel[1] + span + 1, ny)):
+            for k in range(max(base_voxel[2] - span, 0), min(base_voxel[2] + span + 1, nz)):
+                if levels[i, j, k] != FREE:
+                    continue
+                centre[0] = origin[0] + (i + 0.5) * resolution
+                centre[1] = origin[1] + (j + 0.5) * resolution
+                centre[2] = origin[2] + (k + 0.5) * resolution
+                distance = math.sqrt(np.sum((centre - point) ** 2))
+                if distance < nearest and _escapes(levels, origin, resolution, centre, point):
+                    nearest = distance
+                    found = centre.copy()
+    return found
+
+
+@njit(cache=True)
+def _escapes(
+    levels: NDArray[np.uint8],
+    origin: NDArray[np.float64],
+    resolution: float,
+    inside: NDArray[np.float64],
+    point: NDArray[np.float64],
+) -> bool:
+    """Whether the line from ``inside`` to ``point`` meets no occupied voxel but that of ``point``.
+
+    What lies outside the grid (the ground below a vehicle about to take off) does not count.
+    """
+    nx, ny, nz = levels.shape
+    own = np.floor((point - origin) / resolution)
+    steps = 4 * math.ceil(math.sqrt(np.sum((point - inside) ** 2)) / resolution)
+    for step in range(steps):
+        at = np.floor((inside + (point - inside) * (step / steps) - origin) / resolution)
+        i, j, k = int(at[0]), int(at[1]), int(at[2])
+        within = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz
+        if within and levels[i, j, k] == OCCUPIED and not np.array_equal(at, own):
+            return False
+    return True
