@@ -7,6 +7,7 @@ that find each other by gossip; multicast scouting is off. Each mission has its 
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import struct
@@ -48,6 +49,8 @@ def open_session(meeting: Meeting, name: str, *, router: bool = False) -> zenoh.
         "connect/exit_on_failure": True,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
+        # Half a second by default, for routers to be found by multicast; there is none to wait for.
+        "scouting/delay": 0,
         "transport/link/tx/lease": LEASE_MS,
         # A killed node must leave no shared-memory segment behind, and our messages are small.
         "transport/shared_memory/enabled": False,
@@ -58,6 +61,7 @@ def open_session(meeting: Meeting, name: str, *, router: bool = False) -> zenoh.
     return zenoh.open(config)
 
 
+@functools.cache
 def topic_key(name: str) -> str:
     """rmw_zenoh's data key: ``<domain>/<topic>/<DDS type>/<type hash>``."""
     message_type = TOPICS[name].type

@@ -41,7 +41,6 @@ def mixed(lift: float, torque: tuple[float, float, float]) -> np.ndarray:
 
 
 @given(st.floats(12.0, 22.0), st.tuples(st.floats(-0.8, 0.8), st.floats(-0.8, 0.8), st.floats(-0.1, 0.1)))
-@settings(deadline=None)
 def test_the_rotors_give_the_lift_and_torque_that_are_asked_for(
     lift: float, torque: tuple[float, float, float]
 ) -> None:
@@ -49,13 +48,12 @@ def test_the_rotors_give_the_lift_and_torque_that_are_asked_for(
 
 
 @given(st.floats(8.0, 25.0), st.floats(-0.9, 0.9), st.floats(-0.9, 0.9), st.sampled_from([-5.0, 5.0]))
-@settings(deadline=None)
 def test_yaw_gives_way_to_lift_roll_and_pitch(lift: float, roll: float, pitch: float, yaw: float) -> None:
     assert wrench(mixed(lift, (roll, pitch, yaw)))[:3] == pytest.approx([lift, roll, pitch], abs=1e-9)
 
 
 @given(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-0.3, 0.3)))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_body_rates_decay_in_the_physics_as_the_rate_loop_means_them_to(
     rates: tuple[float, float, float],
 ) -> None:

@@ -47,7 +47,7 @@ def test_a_wall_ahead_has_one_depth() -> None:
 
 
 @given(st.floats(1.0, 19.9), st.floats(-0.6, 0.6))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_depth_of_a_slanted_wall_is_the_analytic_one(distance: float, heading: float) -> None:
     """The wall is x = distance; the nose points ``heading`` off its normal."""
     goal = (50 * np.cos(heading), 50 * np.sin(heading), 40.0)
@@ -67,7 +67,7 @@ def test_depth_of_a_slanted_wall_is_the_analytic_one(distance: float, heading: f
     size=st.tuples(st.floats(0.3, 3.0), st.floats(0.3, 3.0), st.floats(0.3, 9.0)),
     command=st.tuples(st.floats(-3, 3), st.floats(-3, 3), st.floats(-1, 1), st.floats(-1.5, 1.5)),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_it_never_sees_through_a_box_and_sees_nothing_that_is_not_there(
     centre: tuple[float, ...], size: tuple[float, ...], command: tuple[float, ...]
 ) -> None:

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.energy import power_w
@@ -25,7 +25,6 @@ def test_magnitude_of_the_papers_golden_flight() -> None:
 
 
 @given(FINITE, FINITE, FINITE, FINITE)
-@settings(deadline=None)
 def test_power_is_never_negative_and_knows_no_direction(
     v_xy: float, a_xy: float, v_z: float, a_z: float
 ) -> None:

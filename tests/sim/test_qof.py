@@ -55,7 +55,7 @@ def test_hovering_costs_hover_power_and_no_distance() -> None:
 
 
 @given(st.lists(st.integers(1, 199), unique=True, max_size=8))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_how_a_flight_is_cut_does_not_matter(cuts: list[int]) -> None:
     world = world_with((3.0, 1.0, 0.0, 6.0, 4.0, 20.0))
     track = Vehicle(world, AIRSIM).advance(np.array([2.0, 1.0, 0.5, 0.0]), 200)
@@ -70,7 +70,7 @@ def test_how_a_flight_is_cut_does_not_matter(cuts: list[int]) -> None:
     position=st.tuples(st.floats(-8.0, 8.0), st.floats(-8.0, 8.0), st.floats(0.2, 9.0)),
     top=st.floats(1.0, 8.0),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_clearance_is_the_distance_that_the_physics_measures(
     position: tuple[float, float, float], top: float
 ) -> None:

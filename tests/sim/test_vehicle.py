@@ -63,7 +63,7 @@ def test_a_rotor_follows_its_command_with_the_airframes_lag() -> None:
 
 
 @given(heading=st.floats(-pi, pi))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_it_starts_nose_towards_the_goal(heading: float) -> None:
     goal = (50 * np.cos(heading), 50 * np.sin(heading), 9.0)
     vehicle = Vehicle(world_with(goal=goal), AIRSIM)
@@ -77,7 +77,7 @@ def test_it_starts_nose_towards_the_goal(heading: float) -> None:
     climb=st.floats(-2.0, 2.0),
     yaw_rate=st.floats(-1.5, 1.5),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_step_in_the_command_settles(heading: float, speed: float, climb: float, yaw_rate: float) -> None:
     vehicle = vehicle_with(start=(0.0, 0.0, 50.0))
     wanted = np.array([speed * np.cos(heading), speed * np.sin(heading), climb])
@@ -108,7 +108,7 @@ def test_a_step_in_the_command_settles(heading: float, speed: float, climb: floa
         max_size=60,
     )
 )
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_no_command_brings_it_down(commands: list[tuple[tuple[float, ...], int]]) -> None:
     vehicle = vehicle_with(start=(0.0, 0.0, 200.0))
     for command, steps in commands:
