@@ -1,0 +1,60 @@
+"""The boundary check of a mission: every name in a specification must be declared in its table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from injector.preflight import check as preflight
+from pydantic import ValidationError
+from services.kernels import KERNELS, PLANNERS
+
+from deploy.platform import load_platform
+from services.bus.mission import MissionSpec
+from sim.airframe import AIRFRAMES
+from sim.world import WORLDS
+
+
+class BadSpecError(ValueError):
+    """A specification that cannot be flown: one line that names the field and the remedy."""
+
+
+def check(spec: MissionSpec) -> None:
+    """Refuse what cannot be flown, before anything is started.
+
+    :raises BadSpecError: naming the field and what would be right.
+    """
+    _known("world", spec.world, WORLDS)
+    _known("planner", spec.planner, PLANNERS)
+    _known("airframe", spec.airframe, AIRFRAMES)
+    try:
+        load_platform(spec.platform)
+    except ValueError as error:
+        raise BadSpecError(str(error)) from error
+    if spec.fault is None:
+        return
+    target = spec.fault.target
+    _known("kernel", target, KERNELS)
+    if target in PLANNERS and target != spec.planner:
+        message = f"kernel {target!r} never runs with planner {spec.planner!r}: choose --planner {target}"
+        raise BadSpecError(message)
+    for finding in preflight():
+        if not finding.ok:
+            message = f"cannot inject: {finding.name}: {finding.remedy}"
+            raise BadSpecError(message)
+
+
+def _known(what: str, name: str, table: Iterable[str]) -> None:
+    names = list(table)
+    if name not in names:
+        message = f"unknown {what} {name!r}; known: {', '.join(names)}"
+        raise BadSpecError(message)
+
+
+def one_line(error: ValidationError) -> str:
+    """The first thing that is wrong, as ``field: what (value)``."""
+    first = error.errors()[0]
+    where = ".".join(map(str, first["loc"])) or "specification"
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    value = first.get("input")
+    given = f", got {value!r}" if isinstance(value, (str, int, float)) else ""
+    return f"{where}: {first['msg']}{given}{more}"

@@ -1,0 +1,50 @@
+"""What this machine allows, checked by doing it: before a campaign finds out."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import tempfile
+from pathlib import Path
+
+from injector.preflight import Finding
+from injector.preflight import check as injector_findings
+
+from deploy.scratch import SOCKET_PATH_LIMIT, mission_folder
+from services.bus.session import Meeting, open_session
+
+
+def examine() -> list[Finding]:
+    """Every check, in the order in which a mission needs them."""
+    return [_python(), _processors(), _folder(), _bus(), *injector_findings()]
+
+
+def _python() -> Finding:
+    version = platform.python_version()
+    return Finding(f"Python {version}", sys.version_info >= (3, 11), "install Python 3.11 or newer")
+
+
+def _processors() -> Finding:
+    count = len(os.sched_getaffinity(0))
+    return Finding(f"{count} processors for {count} flights at a time", ok=True, remedy="")
+
+
+def _folder() -> Finding:
+    parent = Path(tempfile.gettempdir())
+    remedy = f"set TMPDIR to a writable folder with a path well below {SOCKET_PATH_LIMIT} characters"
+    try:
+        with mission_folder():
+            return Finding(f"private folders in {parent}", ok=True, remedy="")
+    except (OSError, ValueError) as error:
+        return Finding(f"private folders in {parent}: {error}", ok=False, remedy=remedy)
+
+
+def _bus() -> Finding:
+    with mission_folder() as folder:
+        meeting = Meeting(folder, "zenfi/doctor")
+        with open_session(meeting, "router", router=True), open_session(meeting, "node") as node:
+            met = len(list(node.info.routers_zid())) == 1
+    return Finding(
+        "Zenoh over Unix sockets", met, "check that eclipse-zenoh is the version that pip installed"
+    )

@@ -1,0 +1,323 @@
+"""Fly one mission: start its processes, keep its messages, answer for its dead, tell its outcome."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import zenoh
+from services.kernels import KERNELS
+
+from deploy.forkserver import EXIT_BUG, ForkServer
+from deploy.platform import load_platform
+from deploy.recorder import Recorder, Trace
+from deploy.scratch import mission_folder
+from deploy.stack import STACK
+from deploy.supervisor import InfrastructureError, Member, Supervisor
+from services.bus import session
+from services.bus.horizon import NEVER_NS
+from services.bus.messages import Horizon, decode, encode
+from services.bus.mission import MissionSpec
+from services.bus.node import LIFE_SHIFT, NodeSetup
+from services.bus.outcome import (
+    NO_FLIGHT,
+    InjectionRecord,
+    MissionResult,
+    NodeReport,
+    NodeResult,
+    Outcome,
+    QoF,
+)
+from services.bus.topics import HORIZON_TYPE, RECORDED, STAGES, TOPICS, published_by
+
+LOOK_S = 0.02
+"""Wall time between two looks at the processes while no message comes."""
+
+STALL_S = 20.0
+"""Wall time without any message after which somebody must be hanging outside a step."""
+
+CATCH_UP_S = 2.0
+GRACE_S = 2.0
+
+
+class LostMessageError(InfrastructureError):
+    """A dying node's last messages did not reach the recorder: the flight cannot be told, fly it again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """An outcome with the trace that a golden twin is compared by."""
+
+    outcome: Outcome
+    trace: Trace
+
+
+def fly(spec: MissionSpec, server: ForkServer) -> Flight:
+    """Fly one mission on a fork server; a pure function of ``spec`` as far as virtual time goes.
+
+    :raises InfrastructureError: if we failed. A crashed vehicle or node returns normally.
+    """
+    attempts = 3
+    for _ in range(attempts - 1):
+        try:
+            return _Mission(spec, server).fly()
+        except LostMessageError:
+            continue
+    return _Mission(spec, server).fly()
+
+
+class _Mission:
+    def __init__(self, spec: MissionSpec, server: ForkServer) -> None:
+        self._spec = spec
+        self._server = server
+        self._recorder = Recorder()
+        self._events: queue.SimpleQueue[tuple[Callable[[Any], None], Any]] = queue.SimpleQueue()
+        self._injection: InjectionRecord | None = None
+        self._horizons: dict[str, zenoh.Publisher] = {}
+        self._result: MissionResult | None = None
+        self._reason = ""
+        self._qof: QoF | None = None
+        self._end_ns = NEVER_NS
+
+    def fly(self) -> Flight:
+        begin = time.monotonic()
+        with mission_folder() as folder:
+            meeting = session.Meeting(folder, f"zenfi/{folder.name}")
+            with session.open_session(meeting, "router", router=True) as bus:
+                self._listen(bus)
+                self._supervisor = Supervisor(self._server, meeting, self._spec.limits.hang_cpu_s)
+                try:
+                    self._start_all()
+                    self._until_ended()
+                    self._supervisor.end(GRACE_S)
+                    trace = self._recorder.trace(self._end_ns)
+                    return Flight(self._outcome(trace, time.monotonic() - begin), trace)
+                finally:
+                    self._supervisor.close()
+
+    # -- starting ----------------------------------------------------------------------------------
+
+    def _listen(self, bus: zenoh.Session) -> None:
+        def subscribe(key: str, handle: Callable[[Any], None]) -> Any:
+            return bus.declare_subscriber(key, lambda sample: self._events.put((handle, sample)))
+
+        self._declared = [
+            subscribe(session.topic_key(topic.name), self._recording(topic.name)) for topic in RECORDED
+        ]
+        self._declared += [subscribe(session.horizon_key(stage), self._hearing(stage)) for stage in STAGES]
+        self._declared.append(subscribe(session.topic_key("injection"), self._take_injection))
+        self._declared.append(
+            bus.declare_queryable(
+                f"{session.HISTORY_KEY}/**", lambda query: self._events.put((self._answer, query))
+            )
+        )
+        self._horizons = {stage: bus.declare_publisher(session.horizon_key(stage)) for stage in STAGES}
+
+    def _recording(self, topic: str) -> Callable[[Any], None]:
+        return lambda sample: self._recorder.record(topic, session.stamped(sample))
+
+    def _hearing(self, stage: str) -> Callable[[Any], None]:
+        return lambda sample: self._recorder.hear(stage, sample.payload.to_bytes())
+
+    def _take_injection(self, sample: zenoh.Sample) -> None:
+        message = decode(sample.payload.to_bytes(), TOPICS["injection"].type)
+        self._injection = InjectionRecord.model_validate_json(message.record)
+
+    def _answer(self, query: zenoh.Query) -> None:
+        """Give a node the messages that it missed."""
+        with query:
+            key = str(query.key_expr)
+            topic = key.removeprefix(f"{session.HISTORY_KEY}/")
+            if topic.startswith("horizon/"):
+                promise = self._recorder.horizon(topic.removeprefix("horizon/"))
+                if promise is not None:
+                    query.reply(key, promise)
+                return
+            first = int(query.payload.to_bytes()) if query.payload is not None else 0
+            for message in self._recorder.since(topic, first):
+                gid = session.publisher_gid(TOPICS[topic].publisher, topic)
+                query.reply(
+                    key, message.payload, attachment=session.attach(message.seq, message.ready_ns, gid)
+                )
+
+    def _start_all(self) -> None:
+        processes = [one for one in STACK.values() if self._spec.fault is not None or not one.with_fault]
+        self._expected = [process.name for process in processes]
+        self._latencies = dict(load_platform(self._spec.platform).latencies_ns())
+        for process in processes:
+            self._supervisor.start(process, self._setup(process.name))
+
+    def _setup(self, name: str) -> NodeSetup:
+        return NodeSetup(
+            name=name,
+            spec=self._spec,
+            kernels=[kernel.name for kernel in KERNELS.values() if kernel.stage == name],
+            latencies_ns=self._latencies,
+            expected=self._expected,
+        )
+
+    # -- flying ------------------------------------------------------------------------------------
+
+    def _until_ended(self) -> None:
+        """Take in messages and look after the processes until all up to the mission's end is recorded."""
+        last_event = last_look = time.monotonic()
+        while self._result is None or not self._recorder.complete(self._end_ns):
+            if self._take_in(LOOK_S):
+                last_event = time.monotonic()
+                self._look_for_end()
+            if time.monotonic() - last_look > LOOK_S:
+                last_look = time.monotonic()
+                self._bury_and_revive()
+                self._supervisor.kill_hung()
+                if last_look - last_event > STALL_S:
+                    self._stalled()
+                    last_event = last_look
+            if self._result == "stack_failure":
+                return
+
+    def _take_in(self, timeout_s: float) -> bool:
+        try:
+            handle, sample = self._events.get(timeout=timeout_s)
+        except queue.Empty:
+            return False
+        handle(sample)
+        while not self._events.empty():
+            handle, sample = self._events.get()
+            handle(sample)
+        return True
+
+    def _look_for_end(self) -> None:
+        last = self._recorder.last("mission")
+        if last is None or self._result is not None:
+            return
+        message = decode(last.payload, TOPICS["mission"].type)
+        self._qof = QoF.model_validate_json(message.qof)
+        if message.result != "flying":
+            self._result = message.result
+            self._end_ns = last.ready_ns
+
+    def _stalled(self) -> None:
+        if self._spec.fault is None:
+            tails = "; ".join(
+                f"{one.process.name}: {one.log_tail}" for one in self._supervisor.members.values()
+            )
+            message = f"nobody said anything for {STALL_S:.0f} s ({tails})"
+            raise InfrastructureError(message)
+        self._supervisor.kill_as_hung(self._supervisor.members[KERNELS[self._spec.fault.target].stage])
+
+    # -- dying -------------------------------------------------------------------------------------
+
+    def _bury_and_revive(self) -> None:
+        for member, exited in self._supervisor.deaths():
+            name = member.process.name
+            if exited.status == 0:
+                continue
+            if exited.status == EXIT_BUG and (self._spec.fault is None or member.process.essential):
+                message = f"{name}: {member.log_tail}"
+                raise InfrastructureError(message)
+            self._catch_up(member)
+            self._look_for_end()
+            if member.process.essential:
+                self._fail(name, member)
+            elif self._result is None:
+                self._replace(member)
+
+    def _catch_up(self, member: Member) -> None:
+        """Wait until all that a dead node published is recorded."""
+        stage = member.process.name
+        deadline = time.monotonic() + CATCH_UP_S
+        while any(
+            recorded < published
+            for recorded, published in zip(
+                self._recorder.published(stage).values(), member.published(), strict=True
+            )
+        ):
+            if time.monotonic() > deadline:
+                message = f"{stage} died before its last messages had left it"
+                raise LostMessageError(message)
+            self._take_in(LOOK_S)
+
+    def _fail(self, name: str, member: Member) -> None:
+        if name == "injector":
+            message = f"the injector died: {member.causes[-1]}"
+            raise InfrastructureError(message)
+        last = self._recorder.last("odometry")
+        self._result = "stack_failure"
+        self._reason = f"{name}: {member.causes[-1]}"
+        self._end_ns = last.ready_ns if last is not None else 0
+
+    def _replace(self, member: Member) -> None:
+        """Say on a dead node's behalf how long it will be silent, and start it again, if it may be."""
+        stage, limits = member.process.name, self._spec.limits
+        silent_until = self._recorder.silent_until_ns(stage)
+        died_ns = int(member.vitals.page["step_ns"])
+        may_restart = member.life < limits.restarts
+        start_ns = (
+            max(silent_until, died_ns + round(limits.restart_delay_s * 1e9)) if may_restart else NEVER_NS
+        )
+        self._promise_for(stage, member.life + 1, start_ns)
+        if may_restart:
+            setup = self._setup(stage).model_copy(
+                update={
+                    "life": member.life + 1,
+                    "start_ns": start_ns,
+                    "published": self._recorder.published(stage),
+                    "resume_from": self._recorder.resume_from(start_ns),
+                }
+            )
+            self._supervisor.start(member.process, setup)
+
+    def _promise_for(self, stage: str, life: int, start_ns: int) -> None:
+        counts = list(self._recorder.published(stage).values())
+        message = Horizon(
+            serial=life << LIFE_SHIFT,
+            accepted_ns=NEVER_NS,
+            busy_until_ns=start_ns,
+            until_ns=np.full(len(counts), start_ns, dtype=np.int64),
+            count=np.array(counts, dtype=np.uint64),
+        )
+        payload = encode(message, HORIZON_TYPE)
+        self._recorder.hear(stage, payload)
+        self._horizons[stage].put(payload)
+
+    # -- telling -----------------------------------------------------------------------------------
+
+    def _outcome(self, trace: Trace, wall_s: float) -> Outcome:
+        assert self._result is not None  # noqa: S101 - the loop ends with a result
+        fault, injection = self._spec.fault, self._injection
+        if fault is not None and injection is None:
+            kernel = KERNELS[fault.target]
+            injection = InjectionRecord(
+                status="not_reached",
+                reason="the flight ended before the kernel was called that often",
+                node=kernel.stage,
+                kernel=kernel.name,
+                invocation=fault.trigger.invocation if fault.trigger is not None else 0,
+            )
+        return Outcome(
+            spec=self._spec,
+            result=self._result,
+            reason=self._reason,
+            qof=self._qof if self._qof is not None else NO_FLIGHT,
+            digest=trace.digest(),
+            wall_s=wall_s,
+            nodes=self._reports(),
+            topics={topic.name: trace.report(topic.name, None) for topic in RECORDED},
+            injection=injection,
+            recovered_messages=sum(
+                int(m.vitals.page["recovered"]) for m in self._supervisor.members.values()
+            ),
+        )
+
+    def _reports(self) -> dict[str, NodeReport]:
+        def result(member: Member) -> NodeResult:
+            if member.hangs:
+                return "hang"
+            return "crash" if member.crashes else "golden"
+
+        members = self._supervisor.members
+        return {name: member.report(result(member)) for name, member in members.items() if published_by(name)}

@@ -1,0 +1,131 @@
+"""The recorder: keeps every message of a mission, answers for lost ones, and digests the flight."""
+
+from __future__ import annotations
+
+import bisect
+import hashlib
+from dataclasses import dataclass, field
+
+from services.bus.horizon import NEVER_NS, Channel, Stamped
+from services.bus.messages import decode
+from services.bus.outcome import TopicReport
+from services.bus.topics import HORIZON_TYPE, RECORDED, STAGES, published_by
+
+DIGEST_BYTES = 16
+
+
+@dataclass
+class Trace:
+    """A flight as its messages: by topic, the ready time and digest of each, in order of sequence."""
+
+    times_ns: dict[str, list[int]] = field(default_factory=dict)
+    digests: dict[str, list[bytes]] = field(default_factory=dict)
+
+    def report(self, topic: str, twin: Trace | None) -> TopicReport:
+        """The topic's digest, and when its messages left those of the golden ``twin``."""
+        times, digests = self.times_ns[topic], self.digests[topic]
+        diverged_ns = None
+        if twin is not None:
+            diverged_ns = first_divergence_ns(times, digests, twin.times_ns[topic], twin.digests[topic])
+        return TopicReport(
+            messages=len(digests),
+            digest=hashlib.blake2b(b"".join(digests), digest_size=DIGEST_BYTES).hexdigest(),
+            diverged_at_s=None if diverged_ns is None else diverged_ns / 1e9,
+        )
+
+    def digest(self) -> str:
+        """Over every recorded message of the flight."""
+        whole = hashlib.blake2b(digest_size=DIGEST_BYTES)
+        for topic, digests in self.digests.items():
+            whole.update(topic.encode())
+            whole.update(b"".join(digests))
+        return whole.hexdigest()
+
+
+def first_divergence_ns(
+    times: list[int], digests: list[bytes], twin_times: list[int], twin_digests: list[bytes]
+) -> int | None:
+    """Virtual time of the first message that differs from, or is missing in, one of the two flights."""
+    for time_ns, digest, twin_time_ns, twin_digest in zip(
+        times, digests, twin_times, twin_digests, strict=False
+    ):
+        if digest != twin_digest:
+            return min(time_ns, twin_time_ns)
+    shorter = min(len(digests), len(twin_digests))
+    rest = times[shorter:] or twin_times[shorter:]
+    return rest[0] if rest else None
+
+
+class Recorder:
+    """Takes in what arrives from the bus; nothing here knows Zenoh."""
+
+    def __init__(self) -> None:
+        self._channels = {topic.name: Channel() for topic in RECORDED}
+        self._history: dict[str, list[Stamped]] = {topic.name: [] for topic in RECORDED}
+        self._horizons: dict[str, bytes] = {}
+        self._serials: dict[str, int] = dict.fromkeys(STAGES, -1)
+
+    def record(self, topic: str, message: Stamped) -> None:
+        """Take in a message of a recorded topic."""
+        channel = self._channels[topic]
+        channel.receive(message)
+        self._history[topic].extend(channel.take(NEVER_NS, inclusive=True))
+
+    def hear(self, stage: str, payload: bytes) -> None:
+        """Take in a stage's promise."""
+        message = decode(payload, HORIZON_TYPE)
+        if message.serial > self._serials[stage]:
+            self._serials[stage] = int(message.serial)
+            self._horizons[stage] = payload
+        for topic, count, until_ns in zip(published_by(stage), message.count, message.until_ns, strict=True):
+            self._channels[topic.name].promise(int(count), int(until_ns))
+
+    def since(self, topic: str, seq: int) -> list[Stamped]:
+        """The messages of a topic from sequence number ``seq`` on."""
+        return self._history[topic][seq:]
+
+    def horizon(self, stage: str) -> bytes | None:
+        """The newest promise of a stage as it was published, None before the first."""
+        return self._horizons.get(stage)
+
+    def last(self, topic: str) -> Stamped | None:
+        """The newest message of a topic."""
+        history = self._history[topic]
+        return history[-1] if history else None
+
+    def published(self, stage: str) -> dict[str, int]:
+        """How many messages of each of a stage's topics are recorded."""
+        return {topic.name: len(self._history[topic.name]) for topic in published_by(stage)}
+
+    def silent_until_ns(self, stage: str) -> int:
+        """The end of what a stage has promised or published: where its next life can begin."""
+        ends = [self._channels[topic.name].horizon_ns for topic in published_by(stage)]
+        ends += [last.ready_ns for topic in published_by(stage) if (last := self.last(topic.name))]
+        return max(ends)
+
+    def resume_from(self, time_ns: int) -> dict[str, int]:
+        """Where a node that begins at ``time_ns`` takes up each topic: latched ones one message earlier."""
+        start = {}
+        for topic in RECORDED:
+            history = self._history[topic.name]
+            first = bisect.bisect_left(history, time_ns, key=lambda message: message.ready_ns)
+            start[topic.name] = max(first - 1, 0) if topic.qos == "latched" else first
+        return start
+
+    def complete(self, end_ns: int) -> bool:
+        """Whether everything up to and including ``end_ns`` is recorded."""
+        return all(channel.horizon_ns > end_ns for channel in self._channels.values())
+
+    def trace(self, end_ns: int) -> Trace:
+        """Times and digests of what was ready up to and including ``end_ns``."""
+        trace = Trace()
+        for topic, history in self._history.items():
+            kept = [message for message in history if message.ready_ns <= end_ns]
+            trace.times_ns[topic] = [message.ready_ns for message in kept]
+            trace.digests[topic] = [_digest(message) for message in kept]
+        return trace
+
+
+def _digest(message: Stamped) -> bytes:
+    stamp = message.ready_ns.to_bytes(8, "little", signed=True)
+    return hashlib.blake2b(stamp + message.payload, digest_size=DIGEST_BYTES).digest()

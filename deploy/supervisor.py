@@ -1,0 +1,199 @@
+"""The processes of one mission: started, watched, counted, ended.
+
+The supervisor knows processes and their vitals, not messages: what a death means for the flight is
+decided in ``deploy/mission.py``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from deploy.forkserver import EXIT_BUG, Exited, ForkServer
+from deploy.stack import Process
+from services.bus.node import NodeSetup
+from services.bus.outcome import KernelUse, NodeReport, NodeResult
+from services.bus.session import Meeting
+from services.bus.topics import published_by
+from services.bus.vitals import Vitals
+
+CLOCK_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+
+
+class InfrastructureError(Exception):
+    """Our own failure: never an outcome. The run may be flown again."""
+
+
+@dataclass
+class Member:
+    """One process of the mission over all its lives."""
+
+    process: Process
+    vitals: Vitals
+    log: Path
+    kernels: list[str]
+    pid: int = 0
+    pidfd: int = -1
+    life: int = -1
+    alive: bool = False
+    crashes: int = 0
+    hangs: int = 0
+    killed_for_hanging: bool = False
+    causes: list[str] = field(default_factory=list)
+    watched_step: tuple[int, int] = (-1, -1)
+    cpu_at_step_s: float = 0.0
+
+    def kill(self) -> None:
+        """Kill the process; never another one that got its pid."""
+        with contextlib.suppress(ProcessLookupError):
+            signal.pidfd_send_signal(self.pidfd, signal.SIGKILL)
+
+    def buried(self) -> None:
+        """Note that the process is gone."""
+        self.alive = False
+        os.close(self.pidfd)
+
+    @property
+    def log_tail(self) -> str:
+        """The last line that the process wrote."""
+        lines = self.log.read_text(errors="replace").strip().splitlines() if self.log.exists() else []
+        return lines[-1] if lines else "no output"
+
+    def published(self) -> list[int]:
+        """Messages published, by the order of the node's topics."""
+        return [int(n) for n in self.vitals.page["published"][: len(published_by(self.process.name))]]
+
+    def report(self, result: NodeResult) -> NodeReport:
+        """The node's part in the flight."""
+        page = self.vitals.page
+        return NodeReport(
+            result=result,
+            crashes=self.crashes,
+            hangs=self.hangs,
+            restarts=max(self.life, 0),
+            causes=self.causes,
+            steps=int(page["steps"]),
+            dropped=int(page["dropped"]),
+            compute_s=int(page["compute_wall_ns"]) / 1e9,
+            messaging_s=int(page["messaging_wall_ns"]) / 1e9,
+            waiting_s=int(page["waiting_wall_ns"]) / 1e9,
+            kernels={
+                name: KernelUse(invocations=int(page["invocations"][i]), cpu_ns=int(page["cpu_ns"][i]))
+                for i, name in enumerate(self.kernels)
+                if page["invocations"][i]
+            },
+        )
+
+
+class Supervisor:
+    """Starts the processes of a mission on a fork server and watches them."""
+
+    def __init__(self, server: ForkServer, meeting: Meeting, hang_cpu_s: float) -> None:
+        self._server = server
+        self._meeting = meeting
+        self._hang_cpu_s = hang_cpu_s
+        self.members: dict[str, Member] = {}
+        self._tracer_pid = 0
+
+    def start(self, process: Process, setup: NodeSetup) -> Member:
+        """Start a process, for the first time or again."""
+        member = self.members.get(process.name)
+        if member is None:
+            log = self._meeting.folder / f"{process.name}.log"
+            member = Member(process, Vitals.create(process.name), log, setup.kernels)
+            self.members[process.name] = member
+        descriptor = os.open(member.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        try:
+            member.pid = self._server.spawn(setup, self._meeting, member.vitals, descriptor, self._tracer_pid)
+        finally:
+            os.close(descriptor)
+        member.pidfd = os.pidfd_open(member.pid)
+        member.life = setup.life
+        member.alive = True
+        if process.with_fault:
+            self._tracer_pid = member.pid
+        return member
+
+    def deaths(self) -> list[tuple[Member, Exited]]:
+        """The members that ended since the last call, crashes and hangs counted."""
+        by_pid = {member.pid: member for member in self.members.values()}
+        ended = []
+        for exited in self._server.exits():
+            member = by_pid.get(exited.pid)
+            if member is None or not member.alive:
+                continue
+            member.buried()
+            if exited.status != 0:
+                self._count(member, exited.status)
+            ended.append((member, exited))
+        return ended
+
+    def _count(self, member: Member, status: int) -> None:
+        if member.killed_for_hanging:
+            member.hangs += 1
+            member.causes.append("hang")
+            member.killed_for_hanging = False
+            return
+        member.crashes += 1
+        if status == EXIT_BUG:
+            member.causes.append(member.log_tail)
+        else:
+            member.causes.append(signal.Signals(-status).name if status < 0 else f"exit status {status}")
+
+    def kill_hung(self) -> None:
+        """Kill the nodes whose present step has used more thread time than a hang is granted.
+
+        Thread time, not wall time: a loaded machine makes nobody hang.
+        """
+        for member in self.members.values():
+            page = member.vitals.page
+            if not (member.alive and page["computing"]):
+                member.watched_step = (-1, -1)
+                continue
+            step = (member.life, int(page["steps"]))
+            used_s = thread_cpu_s(member.pid)
+            if step != member.watched_step:
+                member.watched_step, member.cpu_at_step_s = step, used_s
+            elif used_s - member.cpu_at_step_s > self._hang_cpu_s:
+                self.kill_as_hung(member)
+
+    def kill_as_hung(self, member: Member) -> None:
+        """Kill a node; its end will be counted as a hang."""
+        if member.alive:
+            member.killed_for_hanging = True
+            member.kill()
+
+    def end(self, grace_s: float) -> None:
+        """Wait for the members to end by themselves, then kill the rest; free what they held."""
+        deadline = time.monotonic() + grace_s
+        while any(member.alive for member in self.members.values()):
+            if time.monotonic() > deadline:
+                for member in self.members.values():
+                    if member.alive:
+                        member.kill()
+                deadline = float("inf")
+            for exited in self._server.exits():
+                for member in self.members.values():
+                    if member.alive and member.pid == exited.pid:
+                        member.buried()
+            time.sleep(0.001)
+
+    def close(self) -> None:
+        """Kill what is left and free the pages."""
+        self.end(0.0)
+        for member in self.members.values():
+            member.vitals.close()
+
+
+def thread_cpu_s(pid: int) -> float:
+    """User and system time of a process's main thread, 0 if it is gone."""
+    try:
+        stat = Path(f"/proc/{pid}/task/{pid}/stat").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return 0.0
+    fields = stat.rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / CLOCK_TICKS_PER_S

@@ -1,0 +1,136 @@
+"""Whole flights over real processes and real Zenoh: they repeat, and they survive the death of a node."""
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from deploy.forkserver import ForkServer
+from deploy.mission import Flight, fly
+from services.bus.mission import Limits, MissionSpec
+from tests.conftest import folders, processes, segments, wait_until
+
+SPEC = MissionSpec(world="sparse", seed=7)
+
+
+@pytest.fixture(scope="module")
+def golden(server: ForkServer) -> Flight:
+    return fly(SPEC, server)
+
+
+@contextmanager
+def load(processors: int) -> Iterator[None]:
+    """Keep ``processors`` busy."""
+    children = []
+    for _ in range(processors):
+        child = os.fork()
+        if child == 0:
+            while True:
+                pass
+        children.append(child)
+    try:
+        yield
+    finally:
+        for child in children:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+
+
+def fly_and(server: ForkServer, spec: MissionSpec, meanwhile: Callable[[], None]) -> Flight:
+    """Fly while something is done to the flight."""
+    flights: list[Flight] = []
+    thread = threading.Thread(target=lambda: flights.append(fly(spec, server)))
+    thread.start()
+    try:
+        meanwhile()
+    finally:
+        thread.join()
+    return flights[0]
+
+
+def node(name: str) -> int:
+    """The pid of a node once it computes."""
+    comm = f"zenfi-{name}"[:15]
+    wait_until(lambda: bool(processes(comm)))
+    return processes(comm)[0]
+
+
+def in_mid_flight(name: str) -> int:
+    """The pid of a node that has used a good part of a second's processor time: it is flying."""
+    pid = node(name)
+
+    def busy() -> bool:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return int(fields[11]) + int(fields[12]) >= 15
+
+    wait_until(busy)
+    return pid
+
+
+def test_a_golden_flight_arrives_without_collision(golden: Flight) -> None:
+    qof = golden.outcome.qof
+    assert golden.outcome.result == "success"
+    assert qof.success
+    assert 45.0 < qof.distance_m < 75.0
+    assert qof.min_clearance_m > 0.5
+    assert {report.result for report in golden.outcome.nodes.values()} == {"golden"}
+
+
+def test_the_same_specification_gives_the_same_bytes(golden: Flight, server: ForkServer) -> None:
+    again = fly(SPEC, server).outcome
+    assert again.digest == golden.outcome.digest
+    assert again.qof == golden.outcome.qof
+
+
+def test_a_loaded_machine_changes_nothing(golden: Flight, server: ForkServer) -> None:
+    with load(2 * len(os.sched_getaffinity(0))):
+        again = fly(SPEC, server).outcome
+    assert again.digest == golden.outcome.digest
+    assert again.qof == golden.outcome.qof
+
+
+def test_another_seed_gives_another_flight(golden: Flight, server: ForkServer) -> None:
+    other = fly(SPEC.model_copy(update={"seed": 8}), server).outcome
+    assert other.digest != golden.outcome.digest
+
+
+@pytest.mark.parametrize("platform", ["ideal"])
+def test_a_platform_without_latency_repeats_too(platform: str, server: ForkServer) -> None:
+    spec = SPEC.model_copy(update={"platform": platform, "limits": Limits(mission_time_s=3.0)})
+    first, second = fly(spec, server).outcome, fly(spec, server).outcome
+    assert first.result == "timeout"
+    assert first.digest == second.digest
+
+
+@pytest.mark.parametrize("name", ["perception", "planning", "control"])
+def test_a_killed_node_is_a_result_and_comes_back(name: str, server: ForkServer) -> None:
+    flight = fly_and(server, SPEC, lambda: os.kill(in_mid_flight(name), signal.SIGKILL))
+    report = flight.outcome.nodes[name]
+    assert report.result == "crash"
+    assert report.causes == ["SIGKILL"]
+    assert report.restarts == 1
+    assert flight.outcome.result == "success"
+    assert not processes("zenfi-")
+    assert not folders()
+    assert not segments()
+
+
+def test_a_node_without_a_restart_left_stays_down(server: ForkServer) -> None:
+    spec = SPEC.model_copy(update={"limits": Limits(restarts=0, mission_time_s=60.0)})
+    flight = fly_and(server, spec, lambda: os.kill(in_mid_flight("control"), signal.SIGKILL))
+    assert flight.outcome.nodes["control"].result == "crash"
+    assert flight.outcome.result in ("collision", "timeout")
+
+
+def test_a_killed_simulator_ends_the_mission(server: ForkServer) -> None:
+    flight = fly_and(server, SPEC, lambda: os.kill(in_mid_flight("sim"), signal.SIGKILL))
+    assert flight.outcome.result == "stack_failure"
+    assert flight.outcome.reason == "sim: SIGKILL"
+    assert flight.outcome.qof.flight_time_s > 0
+    assert not processes("zenfi-")
+    assert not folders()
+    assert not segments()

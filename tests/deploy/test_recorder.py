@@ -1,0 +1,84 @@
+"""The recorder tells a flight by its messages, in whatever order they arrived."""
+
+import numpy as np
+
+from deploy.recorder import Recorder, first_divergence_ns
+from services.bus.horizon import NEVER_NS, Stamped
+from services.bus.messages import Horizon, encode
+from services.bus.topics import HORIZON_TYPE, RECORDED, STAGES, published_by
+
+
+def promise(serial: int, counts: list[int], until_ns: int) -> bytes:
+    message = Horizon(
+        serial=serial,
+        accepted_ns=0,
+        busy_until_ns=0,
+        until_ns=np.full(len(counts), until_ns, dtype=np.int64),
+        count=np.array(counts, dtype=np.uint64),
+    )
+    return encode(message, HORIZON_TYPE)
+
+
+def flight(order: list[int], payload_of_2: bytes = b"c") -> Recorder:
+    recorder = Recorder()
+    payloads = [b"a", b"b", payload_of_2, b"d"]
+    for seq in order:
+        recorder.record("command", Stamped(seq, 40 * seq, payloads[seq]))
+    return recorder
+
+
+def test_the_digest_does_not_depend_on_the_order_of_arrival() -> None:
+    assert flight([0, 1, 2, 3]).trace(1000).digest() == flight([3, 1, 0, 2]).trace(1000).digest()
+
+
+def test_one_changed_byte_changes_the_digest_and_is_found() -> None:
+    golden, faulty = flight([0, 1, 2, 3]).trace(1000), flight([0, 1, 2, 3], b"x").trace(1000)
+    assert golden.digest() != faulty.digest()
+    assert faulty.report("command", golden).diverged_at_s == 80e-9
+    assert faulty.report("odometry", golden).diverged_at_s is None
+
+
+def test_what_is_ready_after_the_end_does_not_count() -> None:
+    assert flight([0, 1, 2]).trace(80).digest() == flight([0, 1, 2, 3]).trace(80).digest()
+
+
+def test_a_flight_that_ends_earlier_diverges_where_its_twin_goes_on() -> None:
+    assert first_divergence_ns([0], [b"a"], [0, 40], [b"a", b"b"]) == 40
+    assert first_divergence_ns([0, 40], [b"a", b"b"], [0], [b"a"]) == 40
+    assert first_divergence_ns([0], [b"a"], [0], [b"a"]) is None
+
+
+def test_complete_means_that_every_topic_is_silent_beyond_the_end() -> None:
+    recorder = Recorder()
+    for serial, stage in enumerate(STAGES, 1):
+        assert not recorder.complete(100)
+        recorder.hear(stage, promise(serial, [0] * len(published_by(stage)), NEVER_NS))
+    assert recorder.complete(100)
+
+
+def test_a_promise_about_a_missing_message_completes_nothing() -> None:
+    recorder = Recorder()
+    for stage in STAGES:
+        counts = [int(topic.name == "command") for topic in published_by(stage)]
+        recorder.hear(stage, promise(1, counts, NEVER_NS))
+    assert not recorder.complete(100)
+    recorder.record("command", Stamped(0, 40, b"late"))
+    assert recorder.complete(100)
+
+
+def test_a_new_life_begins_after_all_that_the_old_one_said() -> None:
+    recorder = Recorder()
+    recorder.hear("control", promise(1, [0], 70))
+    recorder.record("command", Stamped(0, 90, b""))
+    assert recorder.silent_until_ns("control") == 90
+
+
+def test_a_new_life_is_given_the_last_latched_message_and_no_older_stream() -> None:
+    recorder = Recorder()
+    for seq in range(3):
+        recorder.record("trajectory", Stamped(seq, 100 * seq, b""))
+        recorder.record("odometry", Stamped(seq, 100 * seq, b""))
+    resume = recorder.resume_from(150)
+    assert resume["trajectory"] == 1
+    assert resume["odometry"] == 2
+    assert set(resume) == {topic.name for topic in RECORDED}
