@@ -1,0 +1,175 @@
+"""The ``zenfi`` command.
+
+With ``--json``, standard output carries one JSON object per line and nothing else; messages go to
+standard error. Exit status: 0 done, 1 we failed, 2 bad input (one clear line), 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import click
+from pydantic import ValidationError
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from dashboard import tables
+from dashboard.campaigns.local import Finished, fly_all
+from dashboard.campaigns.spec import CampaignSpec, load_campaign, runs
+from dashboard.campaigns.summary import summarise
+from deploy.check import BadSpecError, check, one_line
+from deploy.doctor import examine
+from deploy.forkserver import ForkServer, ForkServerError
+from deploy.pairing import NothingToInjectError, Pairs
+from deploy.supervisor import InfrastructureError
+from services.bus.mission import FaultSpec, MissionSpec
+
+messages = Console(stderr=True)
+as_json = click.option("--json", "as_json", is_flag=True, help="One JSON object per line on standard output.")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="zenfi")
+def zenfi() -> None:
+    """Fault injection for autonomous machines: what does one flipped bit do to the mission?"""
+
+
+@zenfi.command()
+@click.option("--world", default="sparse", show_default=True, help="World to fly in.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
+@click.option("--planner", default="rrt_star", show_default=True, help="rrt, rrt_connect or rrt_star.")
+@click.option("--platform", default="i9-9940x", show_default=True, help="Computer whose latencies apply.")
+@click.option("--fault", metavar="LEVEL:KERNEL", help="Flip one bit, e.g. instruction:rrt_star.")
+@click.option("--fault-seed", type=int, default=0, show_default=True, help="Seed of the fault.")
+@as_json
+def fly(
+    world: str, seed: int, planner: str, platform: str, fault: str | None, fault_seed: int, as_json: bool
+) -> None:
+    """Fly one mission; with --fault, its golden twin first."""
+    spec = MissionSpec(
+        world=world,
+        seed=seed,
+        planner=planner,
+        platform=platform,
+        fault=None if fault is None else _fault(fault, fault_seed),
+    )
+    check(spec)
+    server = ForkServer()
+    try:
+        outcome = Pairs(server).fly(spec)
+    finally:
+        server.close()
+    if as_json:
+        click.echo(outcome.model_dump_json(by_alias=True))
+    else:
+        Console().print(tables.outcome(outcome))
+
+
+def _fault(text: str, seed: int) -> FaultSpec:
+    level, colon, target = text.partition(":")
+    if not colon:
+        message = f"--fault {text!r}: expected LEVEL:KERNEL, e.g. instruction:rrt_star"
+        raise BadSpecError(message)
+    return FaultSpec.model_validate({"level": level, "target": target, "seed": seed})
+
+
+@zenfi.group()
+def campaign() -> None:
+    """Many flights, compared."""
+
+
+@campaign.command("run")
+@click.argument("spec")
+@click.option("--slots", type=click.IntRange(1, 256), help="Flights at a time (default: one per processor).")
+@as_json
+def campaign_run(spec: str, slots: int | None, as_json: bool) -> None:
+    """Fly the campaign in the TOML file SPEC, or the preset of that name."""
+    _run(load_campaign(spec), slots, as_json)
+
+
+@zenfi.command()
+@as_json
+def demo(as_json: bool) -> None:
+    """A small campaign in Sparse: golden flights beside flights with one flipped bit."""
+    _run(load_campaign("demo"), None, as_json)
+
+
+def _run(spec: CampaignSpec, slots: int | None, as_json: bool) -> None:
+    planned = list(runs(spec))
+    finished: list[Finished] = []
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=messages) as progress:
+        task = progress.add_task(spec.name, total=len(planned))
+        for one in fly_all(planned, slots):
+            finished.append(one)
+            progress.advance(task)
+            if one.outcome is None:
+                progress.console.print(
+                    f"[red]not flown[/red]: {one.run.arm}, run {one.run.index}: {one.error}"
+                )
+            if as_json:
+                _line(one)
+    summary = summarise([arm.name for arm in spec.arms], finished)
+    if as_json:
+        click.echo(json.dumps({"summary": [line.model_dump() for line in summary]}))
+    else:
+        Console().print(tables.campaign(spec.name, summary))
+    if any(one.outcome is None for one in finished):
+        sys.exit(1)
+
+
+def _line(one: Finished) -> None:
+    head: dict[str, Any] = {"arm": one.run.arm, "index": one.run.index}
+    if one.outcome is None:
+        click.echo(json.dumps({**head, "error": one.error}))
+    else:
+        click.echo(json.dumps({**head, "outcome": one.outcome.model_dump(mode="json", by_alias=True)}))
+
+
+@zenfi.command()
+@as_json
+def doctor(as_json: bool) -> None:
+    """Check what this machine allows: tracing, timers, sockets, processors."""
+    findings = examine()
+    if as_json:
+        for finding in findings:
+            click.echo(json.dumps({"check": finding.name, "ok": finding.ok, "remedy": finding.remedy}))
+    else:
+        Console().print(tables.findings(findings))
+    if not all(finding.ok for finding in findings):
+        sys.exit(1)
+
+
+def main() -> None:
+    """Entry point of the ``zenfi`` command."""
+    try:
+        zenfi.main(standalone_mode=False)
+    except (click.ClickException, BadSpecError, NothingToInjectError) as error:
+        text = error.format_message() if isinstance(error, click.ClickException) else str(error)
+        _give_up(text, 2)
+    except ValidationError as error:
+        _give_up(one_line(error), 2)
+    except (InfrastructureError, ForkServerError) as error:
+        _give_up(str(error), 1)
+    except (KeyboardInterrupt, click.Abort):
+        _give_up("interrupted", 130)
+
+
+def _give_up(text: str, status: int) -> None:
+    click.echo(f"zenfi: {text}", err=True)
+    sys.exit(status)

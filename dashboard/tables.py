@@ -1,0 +1,101 @@
+"""What the command prints for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from injector.preflight import Finding
+from rich.table import Table
+
+from dashboard.campaigns.summary import ArmSummary
+from services.bus.outcome import InjectionRecord, Outcome
+
+
+def outcome(one: Outcome) -> Table:
+    """One flight as a table of names and values, its golden twin beside it."""
+    table = Table(
+        title=f"{one.spec.world}, seed {one.spec.seed}: {one.result}", show_header=one.golden is not None
+    )
+    table.add_column("")
+    table.add_column("this flight", justify="right")
+    if one.golden is not None:
+        table.add_column("golden twin", justify="right")
+    golden = one.golden.qof if one.golden is not None else None
+    for label, unit, field in (
+        ("flight time", "s", "flight_time_s"),
+        ("distance", "m", "distance_m"),
+        ("energy", "kJ", "energy_kj"),
+        ("replans", "", "replans"),
+        ("smallest clearance", "m", "min_clearance_m"),
+    ):
+        cells = [_number(getattr(qof, field), unit) for qof in (one.qof, golden) if qof is not None]
+        table.add_row(label, *cells)
+    table.add_row("wall time", f"{one.wall_s:.2f} s")
+    for stage, report in one.nodes.items():
+        table.add_row(stage, report.result + (f" ({', '.join(report.causes)})" if report.causes else ""))
+    if one.injection is not None:
+        table.add_row("injection", _injection(one.injection))
+    return table
+
+
+def _injection(record: InjectionRecord) -> str:
+    if record.status != "injected":
+        return f"{record.status}: {record.reason}"
+    return (
+        f"{record.kernel}: {record.instruction}\n"
+        f"{record.operand} {record.register_name} bit {', '.join(map(str, record.bits))}: "
+        f"{record.before} -> {record.after}"
+    )
+
+
+def _number(value: float, unit: str) -> str:
+    text = str(value) if isinstance(value, int) else f"{value:.1f}"
+    return f"{text} {unit}".strip()
+
+
+def campaign(name: str, summary: Sequence[ArmSummary]) -> Table:
+    """Quality of flight per arm."""
+    table = Table(
+        title=f"{name}: quality of flight per arm",
+        caption="Success with its 95 % Wilson interval; time, distance and energy are medians of successes.",
+    )
+    table.add_column("arm")
+    for column in (
+        "flights",
+        "success",
+        "time s",
+        "distance m",
+        "energy kJ",
+        "replans",
+        "injected",
+        "outcome",
+    ):
+        table.add_column(column, justify="right")
+    for line in summary:
+        flown = line.runs - line.failed_to_fly
+        success = f"{line.successes}/{flown} [{100 * line.success_low:.0f}-{100 * line.success_high:.0f} %]"
+        results = ", ".join(f"{count} {result}" for result, count in line.results.items())
+        table.add_row(
+            line.arm,
+            str(line.runs),
+            success,
+            *(_cell(value) for value in (line.flight_time_s, line.distance_m, line.energy_kj, line.replans)),
+            str(line.injected) if line.results else "-",
+            results or "golden",
+        )
+    return table
+
+
+def _cell(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"
+
+
+def findings(checks: Sequence[Finding]) -> Table:
+    """What the doctor found."""
+    table = Table()
+    for column in ("check", "", "remedy"):
+        table.add_column(column)
+    for finding in checks:
+        verdict = "[green]ok[/green]" if finding.ok else "[red]no[/red]"
+        table.add_row(finding.name, verdict, "" if finding.ok else finding.remedy)
+    return table

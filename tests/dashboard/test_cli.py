@@ -1,0 +1,119 @@
+"""The command as people and programs meet it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import folders, processes, segments, wait_until
+
+ZENFI = str(Path(sys.executable).parent / "zenfi")
+
+
+def zenfi(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([ZENFI, *arguments], capture_output=True, text=True, check=False, timeout=120)
+
+
+def test_fly_prints_one_outcome() -> None:
+    answer = zenfi("fly", "--world", "sparse", "--seed", "7", "--json")
+    assert answer.returncode == 0
+    assert answer.stderr == ""
+    outcome = json.loads(answer.stdout)
+    assert outcome["result"] == "success"
+    assert {"success", "flight_time_s", "distance_m", "energy_kj", "replans"} <= set(outcome["qof"])
+    assert {"digest", "wall_s", "nodes"} <= set(outcome)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("fly", "--world", "nowhere"), "nowhere"),
+        (("fly", "--planner", "crystal_ball"), "crystal_ball"),
+        (("fly", "--platform", "abacus"), "abacus"),
+        (("fly", "--fault", "instruction:teapot"), "teapot"),
+        (("fly", "--fault", "rrt_star"), "LEVEL:KERNEL"),
+        (("fly", "--fault", "quantum:rrt_star"), "level"),
+        (("fly", "--fault", "instruction:rrt"), "--planner rrt"),
+        (("fly", "--seed", "-1"), "seed"),
+        (("fly", "--seed", "many"), "many"),
+        (("fly", "--fault", "instruction:pid", "--fault-seed", "-3"), "seed"),
+        (("fly", "--colour", "red"), "--colour"),
+        (("campaign", "run", "missing.toml"), "missing.toml"),
+        (("conquer",), "conquer"),
+    ],
+)
+def test_bad_input_is_one_clear_line_and_status_2(arguments: tuple[str, ...], says: str) -> None:
+    answer = zenfi(*arguments)
+    assert answer.returncode == 2
+    assert answer.stdout == ""
+    assert len(answer.stderr.splitlines()) == 1
+    assert says in answer.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('name = "x\n', "TOML"),
+        ('name = "x"\nruns = 0\narms = [{name = "a"}]', "runs"),
+        ('name = "x"\nruns = 1\narms = []', "arms"),
+        ('name = "x"\nruns = 1\nwings = 2\narms = [{name = "a"}]', "wings"),
+        ('name = "../x"\nruns = 1\narms = [{name = "a"}]', "name"),
+        ('name = "x"\nruns = 1\narms = [{name = "a"}, {name = "a"}]', "arms"),
+        ('name = "x"\nruns = 1\narms = [{name = "a", fault = {target = "teapot"}}]', "teapot"),
+        ('name = "x"\nruns = 1\nmission = {world = "nowhere"}\narms = [{name = "a"}]', "nowhere"),
+    ],
+)
+def test_a_bad_campaign_is_refused_with_the_field_named(text: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "campaign.toml"
+    path.write_text(text)
+    answer = zenfi("campaign", "run", str(path))
+    assert answer.returncode == 2
+    assert len(answer.stderr.splitlines()) == 1
+    assert says in answer.stderr
+
+
+def test_a_campaign_flies_its_arms_and_sums_them_up(tmp_path: Path) -> None:
+    path = tmp_path / "campaign.toml"
+    path.write_text(
+        'name = "x"\nruns = 2\narms = [{name = "golden"}, {name = "flip", fault = {target = "pid"}}]\n'
+        "mission = {seed = 3, limits = {mission_time_s = 4.0}}\n"
+    )
+    answer = zenfi("campaign", "run", str(path), "--json")
+    lines = [json.loads(line) for line in answer.stdout.splitlines()]
+    assert answer.returncode == 0
+    assert sorted((line["arm"], line["index"]) for line in lines[:-1]) == [
+        ("flip", 0),
+        ("flip", 1),
+        ("golden", 0),
+        ("golden", 1),
+    ]
+    golden = {line["index"]: line["outcome"]["digest"] for line in lines[:-1] if line["arm"] == "golden"}
+    for line in lines[:-1]:
+        if line["arm"] == "flip":
+            assert line["outcome"]["golden"]["digest"] == golden[line["index"]]
+    assert [arm["runs"] for arm in lines[-1]["summary"]] == [2, 2]
+
+
+@pytest.mark.parametrize(("stop", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
+def test_a_stopped_campaign_leaves_nothing_behind(stop: int, status: int) -> None:
+    with subprocess.Popen(
+        [ZENFI, "campaign", "run", "demo", "--json"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as command:
+        wait_until(lambda: bool(processes("zenfi-control")))
+        os.kill(command.pid, stop)
+        assert command.wait(timeout=20) == status
+    wait_until(lambda: not processes("deploy.worker") and not processes("zenfi-control"))
+    assert not segments()
+    zenfi("doctor")
+    assert not folders()
+
+
+def test_doctor_tells_what_the_machine_allows() -> None:
+    answer = zenfi("doctor", "--json")
+    checks = [json.loads(line) for line in answer.stdout.splitlines()]
+    assert len(checks) >= 5
+    assert (answer.returncode == 0) == all(check["ok"] for check in checks)
