@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from injector.preflight import check as preflight
 from pydantic import ValidationError
-from services.kernels import KERNELS, PLANNERS
 
 from deploy.platform import load_platform
+from injector.preflight import check as preflight
 from services.bus.mission import MissionSpec
+from services.kernels import KERNELS, PLANNERS
 from sim.airframe import AIRFRAMES
 from sim.world import WORLDS
 

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
-from services.kernels import KERNELS
-
 from deploy.forkserver import ForkServer
 from deploy.mission import Flight, fly
 from services.bus import rng
 from services.bus.mission import FaultSpec, MissionSpec, Trigger
 from services.bus.outcome import GoldenTwin, NodeReport, Outcome
 from services.bus.topics import RECORDED, published_by
+from services.kernels import KERNELS
 
 TWINS_KEPT = 16
 

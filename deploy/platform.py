@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from importlib.resources import files
 
 from pydantic import Field, ValidationError
-from services.kernels import KERNELS
 
 from services.bus.mission import Strict
+from services.kernels import KERNELS
 
 
 class UnknownPlatformError(ValueError):
