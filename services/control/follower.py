@@ -15,8 +15,6 @@ and its latency. One farther off leaves planning the time to lead around it in f
 
 DECELERATION_M_S2 = 4.0
 
-Command = NDArray[np.float64]
-
 
 class Follower:
     """Keeps the newest trajectory and says which curve the kernel has to follow.
@@ -26,8 +24,7 @@ class Follower:
     in s.
     """
 
-    def __init__(self, brake_below_s: float = BRAKE_BELOW_S) -> None:
-        self._brake_below_s = brake_below_s
+    def __init__(self) -> None:
         self._followed: NDArray[np.float64] | None = None
         self._followed_seq: int | None = None
         self._coming: tuple[int, NDArray[np.float64]] | None = None
@@ -65,7 +62,7 @@ class Follower:
         velocity: NDArray[np.float64],
         yaw: float,
         period_s: float,
-    ) -> Command:
+    ) -> NDArray[np.float64]:
         """Flight command (vx, vy, vz, yaw rate) for the present state."""
         curve = self.curve(now_s, position, velocity, yaw)
         return pid(curve, now_s, position, velocity, yaw, period_s, self._state)
@@ -81,9 +78,9 @@ class Follower:
                 self._followed_seq = seq
                 self._followed = points if len(points) else None
                 self._stop = None if len(points) else self._stop
-        if self._followed is not None and self._collision_on == self._followed_seq:
-            if self._collision_at_s - now_s < self._brake_below_s:
-                self._followed = None
+        near = self._collision_at_s - now_s < BRAKE_BELOW_S
+        if near and self._collision_on == self._followed_seq:
+            self._followed = None
         if self._followed is not None:
             return self._followed
         if self._stop is None:

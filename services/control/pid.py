@@ -68,16 +68,17 @@ def state_at(trajectory: NDArray[np.float64], now_s: float) -> NDArray[np.float6
     """
     state = np.zeros(11)
     last = len(trajectory) - 1
-    if not now_s > trajectory[0, 0] or last == 0 or not now_s < trajectory[last, 0]:
+    if not trajectory[0, 0] <= now_s < trajectory[last, 0]:
         row = trajectory[last] if now_s >= trajectory[last, 0] else trajectory[0]
         state[:3] = row[1:4]
         state[9] = row[10]
         return state
-    index = min(max(np.searchsorted(trajectory[:, 0], now_s, side="right"), 1), last)
+    index = min(max(int(np.searchsorted(trajectory[:, 0], now_s, side="right")), 1), last)
     a, b = trajectory[index - 1], trajectory[index]
     duration = b[0] - a[0]
     if not duration > 0.0:
-        return a[1:11].copy()
+        state[:10] = a[1:11]
+        return state
     s = (now_s - a[0]) / duration
     for axis in range(3):
         p, v, c = a[1 + axis], a[4 + axis] * duration, a[7 + axis] * duration**2

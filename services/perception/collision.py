@@ -88,12 +88,13 @@ def swept_voxels(
         length = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2 + (b[2] - a[2]) ** 2)
         if not length < _MAX_VOXELS * resolution_m:
             break
+        begin = (now_s - t0) / (t1 - t0) if t0 < now_s else 0.0
         steps = int(2.0 * length / resolution_m) + 1
         for step in range(steps + 1):
-            t = max(now_s, t0 + (t1 - t0) * step / steps)
-            s = (t - t0) / (t1 - t0)
+            s = begin + (1.0 - begin) * step / steps
             for axis in range(3):
                 body[axis] = a[axis] + s * (b[axis] - a[axis])
+            t = t0 + s * (t1 - t0)
             count = _enter(body, before, resolution_m, radius_m, reach, t, centres, times, count)
             before[:] = body
     return centres[:count], times[:count]

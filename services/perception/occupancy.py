@@ -49,7 +49,7 @@ class OccupancyMap:
     def occupied(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether the voxel at each of ``points`` (n, 3) is occupied."""
         labels: NDArray[np.int32] = self._tree.getLabels(points)
-        return labels == 1
+        return np.equal(labels, 1)
 
     def to_binary(self) -> bytes:
         """The map as data of an ``octomap_msgs/Octomap`` message with ``binary`` set.

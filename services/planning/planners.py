@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from ompl import base, geometric
 from ompl import util as ompl_util
 
-from services.planning.voxels import FREE, NEAR, OCCUPIED, VoxelGrid, edge_clear, level_at
+from services.planning.polyline import shorten
+from services.planning.voxels import NEAR, OCCUPIED, VoxelGrid, edge_clear, level_at
 
 ompl_util.noOutputHandler()
 
@@ -34,11 +35,11 @@ CLIMB_WEIGHT = 3.0
 """A metre up or down counts as much as these many sideways: the camera looks ahead, and 29 degrees
 above and below is all that it sees of where a climb leads."""
 
-NEAREST_FREE_M = 6.0
-"""How far from a blocked start or goal a free voxel is looked for."""
+NEAREST_OPEN_M = 6.0
+"""How far from a blocked start or goal an open voxel is looked for."""
 
-_METRIC = np.array([1.0, 1.0, CLIMB_WEIGHT])  # from metres to the space that OMPL searches
-_SHORTCUT_STEP_M = 1.0
+# From metres to the space that OMPL searches.
+_METRIC: NDArray[np.float64] = np.array([1.0, 1.0, CLIMB_WEIGHT])
 
 
 def plan(
@@ -47,35 +48,36 @@ def plan(
     start: NDArray[np.float64],
     goal: NDArray[np.float64],
     seed: int,
+    limit: int = NEAR,
     iterations: int = ITERATIONS,
 ) -> NDArray[np.float64] | None:
     """A path from ``start`` to ``goal`` (3,), world frame, as corners (n, 3), or None.
 
-    ``planner`` is a name in ``PLANNERS``; the grid's box is where it looks. Every edge keeps out of
-    voxels of level NEAR, except that a start which lies in one is left by the straight line to the
-    nearest free voxel. A goal that is blocked is replaced by the nearest free voxel. None if there is
-    no such voxel, or no path within the budget. The same arguments give the same path.
+    ``planner`` is a name in ``PLANNERS``; the grid's box is where it looks. Voxels of level ``limit``
+    and above are blocked, except that a start in one is left by the straight line to the nearest open
+    voxel. A goal that is blocked is replaced by the nearest open voxel. None if there is no such voxel,
+    or no path within the budget. The same arguments give the same path.
     """
-    entry = nearest_free(grid, start)
-    target = nearest_free(grid, goal)
+    entry = nearest_open(grid, start, limit)
+    target = nearest_open(grid, goal, limit)
     if entry is None or target is None:
         return None
-    found = _search(planner, grid, entry, target, seed, iterations)
+    found = _search(planner, grid, entry, target, seed, limit, iterations)
     if found is None:
         return None
-    path = shorten(found, grid.levels, grid.origin, grid.resolution_m)
+    path = shorten(found, grid.levels, grid.origin, grid.resolution_m, limit)
     return path if np.array_equal(entry, start) else np.vstack((start, path))
 
 
-def nearest_free(grid: VoxelGrid, point: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """``point`` itself if its voxel is free, else the centre of the nearest free voxel in reach.
+def nearest_open(grid: VoxelGrid, point: NDArray[np.float64], limit: int) -> NDArray[np.float64] | None:
+    """``point`` itself if its voxel is below ``limit``, else the centre of the nearest such in reach.
 
     In reach means that the straight line there crosses no occupied voxel; leaving the voxel of
     ``point``, whatever is in it, is allowed.
     """
-    if grid.level(point) == FREE:
+    if grid.level(point) < limit:
         return point
-    found = _nearest_free(grid.levels, grid.origin, grid.resolution_m, point, NEAREST_FREE_M)
+    found = _nearest_open(grid.levels, grid.origin, grid.resolution_m, point, limit, NEAREST_OPEN_M)
     return found if len(found) else None
 
 
@@ -85,6 +87,7 @@ def _search(
     start: NDArray[np.float64],
     goal: NDArray[np.float64],
     seed: int,
+    limit: int,
     iterations: int,
 ) -> NDArray[np.float64] | None:
     """Corners of the path that OMPL finds within the budget, if any."""
@@ -100,7 +103,7 @@ def _search(
     space.setBounds(bounds)
     setup = geometric.SimpleSetup(space)
     information = setup.getSpaceInformation()
-    validator = _EdgeValidator(information, grid)
+    validator = _EdgeValidator(information, grid, limit)
     information.setMotionValidator(validator)
     setup.setStateValidityChecker(validator.state_clear)
     objective = base.PathLengthOptimizationObjective(information)
@@ -113,6 +116,8 @@ def _search(
     setup.setStartAndGoalStates(*states)
     algorithm = PLANNERS[planner](information)
     algorithm.setRange(EDGE_M)
+    if isinstance(algorithm, geometric.RRTstar):
+        algorithm.setFocusSearch(True)  # only where the path that it has could still be shortened
     setup.setPlanner(algorithm)
     budget = _Budget(iterations)
     setup.solve(base.PlannerTerminationCondition(budget.spent))
@@ -120,22 +125,24 @@ def _search(
         return None
     path = setup.getSolutionPath()
     corners = [path.getState(i) for i in range(path.getStateCount())]
-    return np.array([[state[axis] for axis in range(3)] for state in corners]) / _METRIC
+    found: NDArray[np.float64] = np.array([[state[axis] for axis in range(3)] for state in corners])
+    return found / _METRIC
 
 
 class _EdgeValidator(base.MotionValidator):  # type: ignore[misc]
     """OMPL's question whether an edge is free, answered by one walk through the grid."""
 
-    def __init__(self, information: Any, grid: VoxelGrid) -> None:
+    def __init__(self, information: Any, grid: VoxelGrid, limit: int) -> None:
         super().__init__(information)
+        self._limit = limit
         self._grid = (grid.levels, grid.origin, grid.resolution_m)
 
     def checkMotion(self, a: Any, b: Any) -> bool:  # noqa: N802 - OMPL's name
         z = (a[2] / CLIMB_WEIGHT, b[2] / CLIMB_WEIGHT)
-        return bool(edge_clear(*self._grid, a[0], a[1], z[0], b[0], b[1], z[1], NEAR))
+        return bool(edge_clear(*self._grid, a[0], a[1], z[0], b[0], b[1], z[1], self._limit))
 
     def state_clear(self, state: Any) -> bool:
-        return bool(level_at(*self._grid, state[0], state[1], state[2] / CLIMB_WEIGHT) == FREE)
+        return bool(level_at(*self._grid, state[0], state[1], state[2] / CLIMB_WEIGHT) < self._limit)
 
 
 class _Budget:
@@ -150,57 +157,15 @@ class _Budget:
 
 
 @njit(cache=True)
-def shorten(
-    path: NDArray[np.float64], levels: NDArray[np.uint8], origin: NDArray[np.float64], resolution: float
-) -> NDArray[np.float64]:
-    """The path (n, 3) with detours cut off: forwards, then backwards, so that both ends are served.
-
-    From each point the farthest later point in free sight is next; points lie every metre or closer.
-    """
-    for _ in range(2):
-        dense = _subdivide(path, _SHORTCUT_STEP_M)
-        kept = np.empty_like(dense)
-        kept[0] = dense[0]
-        count, here = 1, 0
-        while here < len(dense) - 1:
-            there = len(dense) - 1
-            while there > here + 1:
-                a, b = dense[here], dense[there]
-                if edge_clear(levels, origin, resolution, a[0], a[1], a[2], b[0], b[1], b[2], NEAR):
-                    break
-                there -= 1
-            kept[count] = dense[there]
-            count += 1
-            here = there
-        path = kept[:count][::-1].copy()
-    return path
-
-
-@njit(cache=True)
-def _subdivide(path: NDArray[np.float64], step: float) -> NDArray[np.float64]:
-    """The path with points on its legs at most ``step`` apart."""
-    pieces = np.empty(len(path) - 1, dtype=np.int64)
-    for leg in range(len(path) - 1):
-        pieces[leg] = max(1, math.ceil(np.sqrt(np.sum((path[leg + 1] - path[leg]) ** 2)) / step))
-    dense = np.empty((pieces.sum() + 1, 3))
-    dense[0] = path[0]
-    count = 1
-    for leg in range(len(path) - 1):
-        for piece in range(1, pieces[leg] + 1):
-            dense[count] = path[leg] + (path[leg + 1] - path[leg]) * (piece / pieces[leg])
-            count += 1
-    return dense
-
-
-@njit(cache=True)
-def _nearest_free(
+def _nearest_open(
     levels: NDArray[np.uint8],
     origin: NDArray[np.float64],
     resolution: float,
     point: NDArray[np.float64],
+    limit: int,
     reach: float,
 ) -> NDArray[np.float64]:
-    """Centre of the nearest free voxel in reach as an array (3,), or an empty array."""
+    """Centre of the nearest voxel in reach below ``limit`` as an array (3,), or an empty array."""
     found = np.empty(0)
     nearest = reach
     span = math.ceil(reach / resolution)
@@ -210,7 +175,7 @@ def _nearest_free(
     for i in range(max(base_voxel[0] - span, 0), min(base_voxel[0] + span + 1, nx)):
         for j in range(max(base_voxel[1] - span, 0), min(base_voxel[1] + span + 1, ny)):
             for k in range(max(base_voxel[2] - span, 0), min(base_voxel[2] + span + 1, nz)):
-                if levels[i, j, k] != FREE:
+                if levels[i, j, k] >= limit:
                     continue
                 centre[0] = origin[0] + (i + 0.5) * resolution
                 centre[1] = origin[1] + (j + 0.5) * resolution

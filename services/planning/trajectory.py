@@ -9,8 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from services.planning.polyline import subdivide
 from services.planning.spline import excess, minimum_snap, sample
-from services.planning.voxels import CLOSE, FREE, OCCUPIED, VoxelGrid, edge_clear, level_at
+from services.planning.voxels import CLOSE, NEAR, OCCUPIED, VoxelGrid, edge_clear, level_at
 
 SPEED_LIMIT_M_S = 3.0
 ACCELERATION_LIMIT_M_S2 = 5.0
@@ -32,6 +33,7 @@ _STRETCHES_MAX = 8
 _SLOWEST = 3.0  # times the first guess; a start that leads away from the path only gets worse with time
 _STRETCH_TOLERANCE = 1.01
 _TURN_FIRST_RAD = math.radians(35.0)  # beyond this off the nose, the camera would not see the way
+_SOME_WAY_M = 2.0
 _STANDING_M_S = 0.3
 _LOOK_AHEAD_S = 1.0  # the camera must have seen a bend before the vehicle is in it
 
@@ -51,18 +53,18 @@ def trajectory(
     path: NDArray[np.float64],
     departure: Departure,
     grid: VoxelGrid,
-    speed_limit_m_s: float = SPEED_LIMIT_M_S,
+    limit: int = NEAR,
 ) -> NDArray[np.float64] | None:
     """Trajectory (n, 12) along ``path`` (m, 3): t, x y z, vx vy vz, ax ay az, yaw, blocking_yaw.
 
     World frame, SI units, virtual time, ``STEP_S`` or a little less from point to point. Starts at
     ``departure``, ends at rest at the path's last point, keeps the limits of speed and acceleration and
     lets the safety body touch nothing that ``grid`` knows. The nose points along the motion; a vehicle
-    that stands first turns on the spot, and these points have ``blocking_yaw`` set. None if the curve
-    still collides after ``MIDPOINTS_MAX`` insertions.
+    that stands first turns on the spot, and these points have ``blocking_yaw`` set. ``limit`` is the
+    level that the path keeps out of. None if no curve along the path keeps the limits and its distance.
     """
     turn_s = _first_turn(path, departure)
-    smooth = _smooth(path, departure, grid, speed_limit_m_s)
+    smooth = _smooth(path, departure, grid, limit)
     if smooth is None:
         return None
     coefficients, durations = smooth
@@ -80,16 +82,16 @@ def trajectory(
 
 
 def _smooth(
-    path: NDArray[np.float64], departure: Departure, grid: VoxelGrid, speed_limit: float
+    path: NDArray[np.float64], departure: Departure, grid: VoxelGrid, limit: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Minimum-snap spline within the limits and clear of obstacles: coefficients, durations.
 
     Where it collides, the middle of the waypoints on either side becomes a waypoint (Richter, Bry and
     Roy 2016): the spline tends to the path, which is free.
     """
-    waypoints = _waypoints(path, _LEG_M)
+    waypoints = subdivide(path if len(path) > 1 else np.repeat(path, 2, axis=0), _LEG_M)
     waypoints[0] = departure.position
-    speed_limit = max(speed_limit, float(np.linalg.norm(departure.velocity)))
+    speed_limit = max(SPEED_LIMIT_M_S, float(np.linalg.norm(departure.velocity)))
     for _ in range(MIDPOINTS_MAX + 1):
         durations = _pace(waypoints, departure.velocity, _CRUISE * speed_limit, _PACE_M_S2)
         first_guess_s = durations.sum()
@@ -105,31 +107,13 @@ def _smooth(
                 return None
         else:
             return None
-        struck_s = _first_contact(motion, times, grid.levels, grid.origin, grid.resolution_m)
+        struck_s = _first_contact(motion, times, grid.levels, grid.origin, grid.resolution_m, limit)
         if struck_s < 0.0:
             return coefficients, durations
         segment = min(int(np.searchsorted(durations.cumsum(), struck_s)), len(durations) - 1)
         middle = 0.5 * (waypoints[segment] + waypoints[segment + 1])
         waypoints = np.insert(waypoints, segment + 1, middle, axis=0)
     return None
-
-
-@njit(cache=True)
-def _waypoints(path: NDArray[np.float64], leg_m: float) -> NDArray[np.float64]:
-    """The path's corners and points between them at most ``leg_m`` apart; at least two points."""
-    points = [path[0]]
-    for corner in path[1:]:
-        a = points[-1]
-        length = math.sqrt(np.sum((corner - a) ** 2))
-        pieces = math.ceil(length / leg_m)
-        for piece in range(1, pieces + 1):
-            points.append(a + (corner - a) * (piece / pieces))
-    if len(points) == 1:
-        points.append(path[0])
-    array = np.empty((len(points), 3))
-    for index, point in enumerate(points):
-        array[index] = point
-    return array
 
 
 @njit(cache=True)
@@ -173,31 +157,32 @@ def _first_contact(
     levels: NDArray[np.uint8],
     origin: NDArray[np.float64],
     resolution: float,
+    limit: int,
 ) -> float:
     """Time at which the curve first comes too close to an obstacle, or -1.
 
-    A start that is too close already may be left: up to the first free voxel only what is occupied
-    counts, and not that if the start itself lies in it.
+    A start that is too close already may be left: up to the first voxel below ``limit`` only what
+    is occupied counts, and not that if the start itself lies in it.
     """
     begin = motion[0]
     inside = level_at(levels, origin, resolution, begin[0], begin[1], begin[2]) == OCCUPIED
     left = False
     for index in range(len(motion) - 1):
         a, b = motion[index], motion[index + 1]
-        left = left or level_at(levels, origin, resolution, a[0], a[1], a[2]) == FREE
-        limit = CLOSE if left else OCCUPIED
+        left = left or level_at(levels, origin, resolution, a[0], a[1], a[2]) < limit
+        wall = CLOSE if left else OCCUPIED
         if inside and not left:
             continue
-        if not edge_clear(levels, origin, resolution, a[0], a[1], a[2], b[0], b[1], b[2], limit):
+        if not edge_clear(levels, origin, resolution, a[0], a[1], a[2], b[0], b[1], b[2], wall):
             return float(times[index])
     return -1.0
 
 
 def _heading_of(path: NDArray[np.float64], otherwise: float) -> float:
-    """Direction of the path's first leg that leads sideways at all."""
-    for leg in np.diff(path, axis=0):
-        if math.hypot(leg[0], leg[1]) > 0.1:
-            return math.atan2(leg[1], leg[0])
+    """Direction of the path's first corner that is some way off, past any step out of a tight spot."""
+    for corner in path[1:] - path[0]:
+        if math.hypot(corner[0], corner[1]) > _SOME_WAY_M:
+            return math.atan2(corner[1], corner[0])
     return otherwise
 
 

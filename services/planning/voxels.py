@@ -31,7 +31,7 @@ _DEPTH = 16  # levels of an octree in OctoMap
 _CENTRE = 1 << (_DEPTH - 1)  # key of the voxel whose lower corner is the world's origin
 
 
-class MalformedMap(ValueError):
+class MalformedMap(ValueError):  # noqa: N818 - the message is malformed, not the program
     """A payload that is no binary OctoMap stream."""
 
 
@@ -82,7 +82,8 @@ def unpack(
     # A position is up to half a diagonal off its voxel's centre.
     close_m = body_radius_m + resolution_m / math.sqrt(2.0)
     radii = np.array([clearance_m, close_m, HIDDEN_M]) / resolution_m
-    return VoxelGrid(_levels(seen, margin, radii), first * resolution_m, resolution_m)
+    origin = first.astype(np.float64) * resolution_m
+    return VoxelGrid(_levels(seen, margin, radii), origin, resolution_m)
 
 
 @njit(cache=True)
@@ -142,6 +143,8 @@ def _levels(seen: NDArray[np.uint8], margin: int, radii: NDArray[np.float64]) ->
     levels = np.zeros((nx, ny, nz), dtype=np.uint8)
     near, close, hidden = radii
     for i, j, k in np.argwhere(seen == _SEEN_OCCUPIED):
+        top = _end_of_wall(seen, i, j, k, 1, hidden)
+        bottom = _end_of_wall(seen, i, j, k, -1, hidden)
         for ii in range(max(i - margin, 0), min(i + margin + 1, nx)):
             for jj in range(max(j - margin, 0), min(j + margin + 1, ny)):
                 distance = math.sqrt((ii - i) ** 2 + (jj - j) ** 2)
@@ -149,10 +152,27 @@ def _levels(seen: NDArray[np.uint8], margin: int, radii: NDArray[np.float64]) ->
                     level = CLOSE if distance <= close else NEAR
                     for kk in range(max(k - 1, 0), min(k + 2, nz)):
                         levels[ii, jj, kk] = max(levels[ii, jj, kk], level)
-                if distance <= hidden and seen[ii, jj, k] == _UNKNOWN:
-                    levels[ii, jj, k] = max(levels[ii, jj, k], NEAR)
+                if distance <= hidden:
+                    for kk in range(bottom, top + 1):
+                        if seen[ii, jj, kk] == _UNKNOWN:
+                            levels[ii, jj, kk] = max(levels[ii, jj, kk], NEAR)
         levels[i, j, k] = OCCUPIED
     return levels[margin : nx - margin, margin : ny - margin, margin : nz - margin].copy()
+
+
+@njit(cache=True)
+def _end_of_wall(seen: NDArray[np.uint8], i: int, j: int, k: int, step: int, hidden: float) -> int:
+    """How far up (``step`` 1) or down (-1) something may hide around an occupied voxel.
+
+    What stands at least two voxels high probably goes on where it was not seen to end.
+    """
+    nz = int(seen.shape[2])
+    ahead, behind = k + step, k - step
+    if not (0 <= ahead < nz and 0 <= behind < nz):
+        return k
+    if seen[i, j, behind] != _SEEN_OCCUPIED or seen[i, j, ahead] != _UNKNOWN:
+        return k
+    return min(max(k + step * int(hidden), 0), nz - 1)
 
 
 @njit(cache=True)

@@ -1,0 +1,98 @@
+"""Control flies the newest trajectory it may fly, and stops otherwise."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from services.control.follower import BRAKE_BELOW_S, Follower
+
+HERE = np.array([0.0, 0.0, 3.0])
+FAST = np.array([3.0, 0.0, 0.0])
+NONE = np.empty((0, 12))
+
+
+def eastwards(start_s: float = 0.0) -> NDArray[np.float64]:
+    """60 m along x at 3 m/s."""
+    rows = np.zeros((81, 12))
+    t = np.arange(81) * 0.25
+    rows[:, 0] = start_s + t
+    rows[:, 1] = 3.0 * t
+    rows[:, 3] = 3.0
+    rows[:, 4] = 3.0
+    return rows
+
+
+def forward_speed(follower: Follower, now_s: float, x: float, speed: float = 3.0) -> float:
+    position, velocity = np.array([x, 0.0, 3.0]), np.array([speed, 0.0, 0.0])
+    return float(follower.command(now_s, position, velocity, 0.0, 0.04)[0])
+
+
+@pytest.fixture
+def flying() -> Follower:
+    follower = Follower()
+    assert follower.take_trajectory(1, 0, eastwards())
+    assert forward_speed(follower, 1.0, 3.0) == pytest.approx(3.0)
+    return follower
+
+
+def test_without_a_trajectory_it_stops_and_hovers() -> None:
+    follower = Follower()
+    assert forward_speed(follower, 5.0, 10.0) == pytest.approx(3.0)
+    assert forward_speed(follower, 5.5, 11.0, 1.0) < 1.5
+    # Rest is a second and a bit later and about a metre farther on.
+    assert forward_speed(follower, 9.0, 10.0 + 9.0 / 8.0, 0.0) == pytest.approx(0.0, abs=0.01)
+    assert forward_speed(follower, 9.0, 12.0, 0.0) < 0.0
+
+
+def test_a_new_trajectory_replaces_the_old_one_from_its_first_moment_on(flying: Follower) -> None:
+    other = eastwards(2.0)
+    other[:, 1] = 6.0
+    other[:, 4] = 0.0
+    assert flying.take_trajectory(2, 0, other)
+    assert forward_speed(flying, 1.9, 5.7) == pytest.approx(3.0)
+    assert forward_speed(flying, 2.1, 6.0, 0.0) == pytest.approx(0.0)
+
+
+def test_a_trajectory_older_than_the_newest_collision_is_refused(flying: Follower) -> None:
+    flying.take_verdict(1.0, 1, 2, 10.0)
+    assert not flying.take_trajectory(2, 1, NONE)
+    assert flying.take_trajectory(3, 2, eastwards())
+
+
+def test_it_brakes_for_a_near_collision_and_waits_for_an_answer(flying: Follower) -> None:
+    flying.take_verdict(1.0, 1, 1, 1.0)
+    assert forward_speed(flying, 1.7, 5.1) > 2.5
+    assert forward_speed(flying, 2.2, 6.2, 1.0) < 1.5
+    # The verdict is taken back, but by now the trajectory is ahead of the vehicle.
+    flying.take_verdict(2.3, 1, 1, math.inf)
+    assert forward_speed(flying, 4.0, 6.2, 0.0) == pytest.approx(0.0, abs=0.3)
+    assert flying.take_trajectory(2, 1, eastwards(2.0))
+    assert forward_speed(flying, 4.1, 6.3, 3.0) == pytest.approx(3.0, abs=0.01)
+
+
+def test_a_far_collision_is_braked_for_only_when_it_has_come_near(flying: Follower) -> None:
+    flying.take_verdict(1.0, 1, 1, BRAKE_BELOW_S + 1.0)
+    assert forward_speed(flying, 1.5, 4.5) == pytest.approx(3.0)
+    forward_speed(flying, 2.1, 6.3)
+    assert forward_speed(flying, 2.6, 7.5) < 2.0
+
+
+def test_a_collision_of_another_trajectory_does_not_matter(flying: Follower) -> None:
+    flying.take_verdict(1.0, 7, 0, 0.1)
+    assert forward_speed(flying, 2.0, 6.0) == pytest.approx(3.0)
+
+
+def test_an_empty_trajectory_stops_the_vehicle(flying: Follower) -> None:
+    assert flying.take_trajectory(2, 0, NONE)
+    forward_speed(flying, 2.0, 6.0)
+    assert forward_speed(flying, 2.5, 7.0, 1.0) < 1.5
+
+
+def test_restarted_in_flight_it_goes_on_with_the_newest_trajectory() -> None:
+    follower = Follower()
+    forward_speed(follower, 6.0, 18.0)
+    follower.take_verdict(5.9, 4, 3, math.inf)
+    follower.take_trajectory(4, 3, eastwards())
+    assert forward_speed(follower, 6.1, 18.3) == pytest.approx(3.0)
