@@ -78,6 +78,8 @@ def inject_at_cpu_time(
                 found, maps = _reach(tracees, thread, target, call, fault, draw, limit_s)
             except GoneError:
                 found, maps = Strike("failed", "the target died before the fault"), Maps("")
+            except TargetError as error:
+                found, maps = Strike("failed", f"before the fault: {error}"), Maps("")
         return _record(call, fault, tracees, found, maps)
 
 
@@ -155,13 +157,15 @@ def _missed(
 
 
 def _jitter(tracees: Tracees, thread: Thread, target: Process, steps: int) -> None:
-    """Step on, but into no system call; whatever ends it early is met again by the strike."""
-    with suppress(TargetError):
-        for _ in range(steps):
-            registers, instruction = stand(thread, target)
-            if registers.in_system_call or not instruction.steppable:
-                return
-            step(tracees, thread, instruction)
+    """Step on, but into no system call.
+
+    :raises TargetError: if the target does not come through.
+    """
+    for _ in range(steps):
+        registers, instruction = stand(thread, target)
+        if registers.in_system_call or not instruction.steppable:
+            return
+        step(tracees, thread, instruction)
 
 
 def _record(call: Call, fault: FaultSpec, tracees: Tracees, found: Strike, maps: Maps) -> InjectionRecord:

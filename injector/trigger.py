@@ -10,7 +10,6 @@ import ctypes
 import errno
 import fcntl
 import os
-import platform
 import struct
 from collections.abc import Callable
 from typing import Literal
@@ -32,7 +31,7 @@ REMEDY = (
     "in a container: --cap-add PERFMON and a seccomp profile that allows perf_event_open"
 )
 
-_PERF_EVENT_OPEN = {"x86_64": 298, "aarch64": 241}
+_PERF_EVENT_OPEN = 298  # the number of the system call on x86-64
 _TYPE_SOFTWARE, _COUNT_TASK_CLOCK = 1, 1
 _ATTR_SIZE = 128  # PERF_ATTR_SIZE_VER7, the first with sig_data
 _DISABLED, _EXCLUDE_KERNEL, _EXCLUDE_HV = 1 << 0, 1 << 5, 1 << 6
@@ -101,11 +100,7 @@ def _perf_event_open(tid: int, period_ns: int) -> int:
     flags = _DISABLED | _EXCLUDE_KERNEL | _EXCLUDE_HV | _REMOVE_ON_EXEC | _SIGTRAP
     head = struct.pack("=IIQQQQQ", _TYPE_SOFTWARE, _ATTR_SIZE, _COUNT_TASK_CLOCK, period_ns, 0, 0, flags)
     buffer = ctypes.create_string_buffer(head, _ATTR_SIZE)
-    descriptor = int(
-        _libc.syscall(
-            _PERF_EVENT_OPEN[platform.machine()], buffer, tid, -1, -1, ctypes.c_ulong(_FLAG_CLOEXEC)
-        )
-    )
+    descriptor = int(_libc.syscall(_PERF_EVENT_OPEN, buffer, tid, -1, -1, ctypes.c_ulong(_FLAG_CLOEXEC)))
     if descriptor >= 0:
         return descriptor
     number = ctypes.get_errno()

@@ -38,6 +38,7 @@ _CHILD = """
 import ctypes, mmap, sys, threading
 libc = ctypes.CDLL(None)
 libc.prctl(0x59616D61, ctypes.c_ulong(-1), 0, 0, 0)  # anybody may trace us
+libc.prctl(1, 9)  # die with the test
 page = mmap.mmap(int(sys.argv[1]), {size}, prot=7)
 enter = ctypes.CFUNCTYPE(None)(ctypes.addressof(ctypes.c_char.from_buffer(page)))
 for _ in range(int(sys.argv[2])):

@@ -1,5 +1,6 @@
 """Freezing stops every thread, loses nothing, and always lets go."""
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -14,6 +15,8 @@ from injector.freeze import Tracees
 from injector.inject import registers_of
 from injector.process import threads, tracer_of
 from tests.injector.programs import PATIENCE_S, assemble, clock_ns, running, state
+
+pytestmark = pytest.mark.usefixtures("may_inject")
 
 SIGNALLED = """
 import os, signal, sys
@@ -48,6 +51,16 @@ if not pid:
     print("ready", os.getpid(), sep="\\n", flush=True)
     while True: pass
 print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
+"""
+
+TRAPPED = """
+import ctypes, os, signal, struct, sys
+signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTRAP})
+trap = ctypes.create_string_buffer(struct.pack("iii", signal.SIGTRAP, 0, 6), 128)
+rt_tgsigqueueinfo = 297
+assert ctypes.CDLL(None).syscall(rt_tgsigqueueinfo, os.getpid(), os.getpid(), signal.SIGTRAP, trap) == 0
+print("ready", flush=True)
+print(sys.stdin.read())
 """
 
 BREEDER = """
@@ -124,6 +137,36 @@ def test_threads_that_come_and_go_are_caught() -> None:
     finally:
         breeder.kill()
         breeder.communicate()
+
+
+def test_a_thread_that_was_missed_is_caught_when_all_are_stopped() -> None:
+    with running(assemble(), threads=2) as target, Tracees() as tracees:
+        target.start()
+        tracees.seize([target.pid])
+        tracees.stop_all()
+        missed = threads(target.pid)[1]
+        ptrace.detach(missed)
+        del tracees.threads[missed]
+        tracees.resume_all()
+        tracees.stop_all()
+        assert {state(tid) for tid in threads(target.pid)} == {"t"}
+        assert tracees.threads_stopped == 3
+
+
+def test_a_timers_trap_that_is_queued_when_its_thread_is_let_go_does_not_kill() -> None:
+    """The trap is made by the program itself, and held back until it stands."""
+    with Tracees() as tracees:
+        process = python(TRAPPED)
+        tracees.seize([process.pid])
+        tracees.stop_all()
+        tracees.threads[process.pid].timed = True
+        nothing_blocked = ctypes.c_uint64(0)
+        libc = ctypes.CDLL(None)
+        setsigmask = 0x420B
+        assert libc.ptrace(setsigmask, process.pid, ctypes.c_void_p(8), ctypes.byref(nothing_blocked)) == 0
+        assert ptrace.timer_trap_pending(process.pid)
+    assert process.communicate(b"42", timeout=PATIENCE_S)[0] == b"42\n"
+    assert process.returncode == 0
 
 
 def test_signals_sent_while_standing_arrive() -> None:

@@ -17,6 +17,8 @@ from services.bus.mission import FaultSpec
 from services.bus.rng import generator
 from tests.injector.programs import Target, assemble, running
 
+pytestmark = pytest.mark.usefixtures("may_inject")
+
 Operand = Literal["source", "destination", "any"]
 
 MOVE = Instruction.create_reg_reg(Code.MOV_R64_RM64, Register.RBX, Register.RCX)

@@ -14,6 +14,8 @@ from injector.process import CodeError, Identity, IdentityError, Maps, Process, 
 from services.bus.announce import Announcement, boot_id, start_ticks
 from tests.injector.programs import Target, assemble, running
 
+pytestmark = pytest.mark.usefixtures("may_inject")
+
 
 @contextmanager
 def sleeper() -> Iterator[Announcement]:

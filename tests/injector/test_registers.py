@@ -12,6 +12,8 @@ from injector.x86_64 import GENERAL as PARTS
 from injector.x86_64 import X8664Registers
 from tests.injector.programs import GENERAL, HAS_AVX, assemble, running
 
+pytestmark = pytest.mark.usefixtures("may_inject")
+
 WIDTH = 256 if HAS_AVX else 128
 GENERAL_VALUES = {name: 0x0123456789ABCDEF * (index + 1) % 2**64 for index, name in enumerate(GENERAL)}
 VECTOR_VALUES = {number: (0x1F << 251 | 0x9E3779B97F4A7C15 * (number + 1)) % 2**WIDTH for number in range(16)}
