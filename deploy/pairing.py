@@ -63,7 +63,7 @@ def draw_trigger(fault: FaultSpec, golden: Outcome) -> Trigger:
     if use is None:
         message = f"the golden flight never runs {fault.target}: nothing to inject into"
         raise NothingToInjectError(message)
-    draw = rng.generator(golden.spec.seed, "trigger", fault.seed)
+    draw = rng.generator(golden.spec.seed, f"trigger {fault.target}", fault.seed)
     invocation = int(draw.integers(use.invocations))
     return Trigger(invocation=invocation, cpu_ns=int(draw.random() * use.cpu_ns / use.invocations))
 

@@ -230,6 +230,7 @@ class Node:
         page["invocations"][index] += 1
         if armed:
             self._gate("enter", name)
+            signal.raise_signal(GATE_SIGNAL)
         begin = time.thread_time_ns()
         yield
         spent = time.thread_time_ns() - begin
@@ -247,8 +248,8 @@ class Node:
     def _gate(self, phase: str, kernel: str) -> None:
         """Let the injector take hold, or let go, of us.
 
-        Once it has, a signal to ourselves marks to the instruction where the call begins and ends: the
-        tracer sees it and takes it away, and without a tracer it is ignored.
+        While it has, a signal to ourselves marks where the call begins and ends: the tracer sees it and
+        takes it away, and without a tracer it is ignored.
         """
         request = {"phase": phase, "kernel": kernel, "virtual_time_ns": self.now_ns}
         replies = self.session.get(
@@ -257,8 +258,6 @@ class Node:
         if not any(reply.ok for reply in replies):
             message = f"{self.name}: the injector did not answer at the gate of {kernel}"
             raise BusError(message)
-        if phase == "enter":
-            signal.raise_signal(GATE_SIGNAL)
 
     # -- the loop of the clock's owner -------------------------------------------------------------
 
