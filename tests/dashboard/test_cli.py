@@ -11,6 +11,7 @@ import pytest
 
 from tests.conftest import alive, descendants, folders, node, segments, wait_until
 
+FORBID_PTRACE = Path(__file__).parent.parent / "fixtures" / "forbid_ptrace.py"
 ZENFI = str(Path(sys.executable).parent / "zenfi")
 
 
@@ -52,6 +53,16 @@ def test_bad_input_is_one_clear_line_and_status_2(arguments: tuple[str, ...], sa
     assert answer.stdout == ""
     assert len(answer.stderr.splitlines()) == 1
     assert says in answer.stderr
+
+
+def test_a_machine_that_forbids_tracing_is_told_before_anything_starts() -> None:
+    command = [sys.executable, str(FORBID_PTRACE), ZENFI, "fly", "--fault", "instruction:pid"]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert answer.returncode == 2
+    assert answer.stdout == ""
+    assert len(answer.stderr.splitlines()) == 1
+    assert "ptrace" in answer.stderr
+    assert "--cap-add SYS_PTRACE" in answer.stderr
 
 
 @pytest.mark.parametrize(
