@@ -93,7 +93,7 @@ class _Mission:
                 try:
                     self._start_all()
                     self._until_ended()
-                    self._supervisor.end(GRACE_S)
+                    self._supervisor.end(GRACE_S, lambda: self._take_in(0.001))
                     trace = self._recorder.trace(self._end_ns)
                     return Flight(self._outcome(trace, time.monotonic() - begin), trace)
                 finally:

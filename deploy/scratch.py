@@ -49,6 +49,7 @@ def sweep(parent: Path) -> None:
 
 def _alive(pid: int, start: int) -> bool:
     try:
-        return start_ticks(pid) == start
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+        return state != "Z" and start_ticks(pid) == start
     except (FileNotFoundError, ProcessLookupError):
         return False

@@ -10,6 +10,7 @@ import contextlib
 import os
 import signal
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -167,8 +168,8 @@ class Supervisor:
             member.killed_for_hanging = True
             member.kill()
 
-    def end(self, grace_s: float) -> None:
-        """Wait for the members to end by themselves, then kill the rest; free what they held."""
+    def end(self, grace_s: float, meanwhile: Callable[[], object]) -> None:
+        """Wait for the members to end by themselves, calling ``meanwhile`` again and again; kill the rest."""
         deadline = time.monotonic() + grace_s
         while any(member.alive for member in self.members.values()):
             if time.monotonic() > deadline:
@@ -180,11 +181,11 @@ class Supervisor:
                 for member in self.members.values():
                     if member.alive and member.pid == exited.pid:
                         member.buried()
-            time.sleep(0.001)
+            meanwhile()
 
     def close(self) -> None:
         """Kill what is left and free the pages."""
-        self.end(0.0)
+        self.end(0.0, lambda: time.sleep(0.001))
         for member in self.members.values():
             member.vitals.close()
 

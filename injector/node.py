@@ -51,7 +51,9 @@ def inject(gate: Gate, entering: zenoh.Query, fault: FaultSpec, seed: int) -> In
     own = os.getpid()
     others = [one for _, one in sorted(gate.announced.items()) if one.pid not in (target.pid, own)]
     call = Call(target, int(request["virtual_time_ns"]), armed=lambda: gate.open(entering), marked=True)
-    return inject_at_cpu_time(call, others, fault, rng.generator(seed, f"injection {fault.target}", fault.seed))
+    return inject_at_cpu_time(
+        call, others, fault, rng.generator(seed, f"injection {fault.target}", fault.seed)
+    )
 
 
 class Gate:

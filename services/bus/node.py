@@ -33,6 +33,7 @@ LINKING_S = 0.2
 """Longest wait for links to all other nodes; one may be dead."""
 
 GATE_TIMEOUT_S = 60.0
+FLUSH_S = 10.0
 GATE_SIGNAL = signal.SIGURG
 """Marks the beginning and the end of an armed call to the tracer; ignored by default."""
 
@@ -340,12 +341,29 @@ class Node:
             if reply.ok is not None:
                 yield reply.ok
 
+    def flush(self) -> None:
+        """Wait until the recorder has our last word: what a session has not sent when it closes is lost.
+
+        :raises BusError: if it does not get it.
+        """
+        deadline = time.monotonic() + FLUSH_S
+        while not any(
+            decode(reply.payload.to_bytes(), HORIZON_TYPE).serial >= self._serial
+            for reply in self._ask(f"{session.HISTORY_KEY}/horizon/{self.name}", "")
+        ):
+            if time.monotonic() > deadline:
+                message = f"{self.name}: the recorder does not answer"
+                raise BusError(message)
+            time.sleep(0.001)
+
     def close(self) -> None:
-        """Close the session; what was published has then left the process."""
+        """Close the session."""
         self.session.close()  # type: ignore[no-untyped-call]
 
     def __enter__(self) -> Node:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self.flush()
         self.close()

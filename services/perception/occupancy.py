@@ -39,11 +39,10 @@ class OccupancyMap:
     def insert(self, points: NDArray[np.floating], origin: NDArray[np.float64]) -> None:
         """Add one scan: ``points`` (n, 3) seen from ``origin`` (3,), world frame, m.
 
-        A ray is cut at the range; one that was cut clears space and marks no obstacle. Points that are
-        not finite are no measurement.
+        A ray is cut at the range; one that was cut clears space and marks no obstacle. OctoMap leaves
+        out points that are not finite.
         """
-        finite = np.isfinite(points).all(axis=1)
-        cloud = np.ascontiguousarray(points[finite], dtype=np.float64)
+        cloud = np.ascontiguousarray(points, dtype=np.float64)
         self._tree.insertPointCloud(cloud, origin, max_range=self.range_m, discretize=True)
 
     def occupied(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -18,7 +18,8 @@ def test_a_machine_that_can_inject_passes_every_check() -> None:
 
 
 def test_no_process_and_no_file_is_left_behind() -> None:
-    open_before = os.listdir("/proc/self/fd")  # noqa: PTH208
+    children = Path(f"/proc/self/task/{os.getpid()}/children")
+    open_before, children_before = os.listdir("/proc/self/fd"), children.read_text()  # noqa: PTH208
     check()
     assert os.listdir("/proc/self/fd") == open_before  # noqa: PTH208
-    assert Path(f"/proc/self/task/{os.getpid()}/children").read_text() == ""
+    assert children.read_text() == children_before

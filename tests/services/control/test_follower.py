@@ -81,7 +81,8 @@ def test_a_far_collision_is_braked_for_only_when_it_has_come_near(flying: Follow
 
 def test_a_collision_of_another_trajectory_does_not_matter(flying: Follower) -> None:
     flying.take_verdict(1.0, 7, 0, 0.1)
-    assert forward_speed(flying, 2.0, 6.0) == pytest.approx(3.0)
+    for t in (1.5, 2.0, 2.5):
+        assert forward_speed(flying, t, 3.0 * t) == pytest.approx(3.0)
 
 
 def test_an_empty_trajectory_stops_the_vehicle(flying: Follower) -> None:
