@@ -39,6 +39,15 @@ def load(processors: int) -> Iterator[None]:
             os.waitpid(child, 0)
 
 
+def fly_and_kill(server: ForkServer, spec: MissionSpec, name: str) -> Flight:
+    """Fly and kill a node on the way; on a busy machine the flight may be over first, then again."""
+    for _ in range(5):
+        flight = fly_and(server, spec, lambda: kill_in_mid_flight(name))
+        if flight.outcome.nodes[name].crashes:
+            return flight
+    pytest.fail("five flights were over before the kill arrived")
+
+
 def fly_and(server: ForkServer, spec: MissionSpec, meanwhile: Callable[[], None]) -> Flight:
     """Fly while something is done to the flight."""
     flights: list[Flight] = []
@@ -60,8 +69,8 @@ def kill_in_mid_flight(name: str) -> None:
 
     wait_until(flying)
     pid = node(os.getpid(), name)
-    assert pid is not None
-    os.kill(pid, signal.SIGKILL)
+    if pid is not None:
+        os.kill(pid, signal.SIGKILL)
 
 
 def assert_nothing_is_left(server: ForkServer) -> None:
@@ -107,7 +116,7 @@ def test_a_platform_without_latency_repeats_too(platform: str, server: ForkServe
 
 @pytest.mark.parametrize("name", ["perception", "planning", "control"])
 def test_a_killed_node_is_a_result_and_comes_back(name: str, server: ForkServer) -> None:
-    flight = fly_and(server, SPEC, lambda: kill_in_mid_flight(name))
+    flight = fly_and_kill(server, SPEC, name)
     report = flight.outcome.nodes[name]
     assert report.result == "crash"
     assert report.causes == ["SIGKILL"]
@@ -118,13 +127,13 @@ def test_a_killed_node_is_a_result_and_comes_back(name: str, server: ForkServer)
 
 def test_a_node_without_a_restart_left_stays_down(server: ForkServer) -> None:
     spec = SPEC.model_copy(update={"limits": Limits(restarts=0, mission_time_s=60.0)})
-    flight = fly_and(server, spec, lambda: kill_in_mid_flight("control"))
+    flight = fly_and_kill(server, spec, "control")
     assert flight.outcome.nodes["control"].result == "crash"
     assert flight.outcome.result in ("collision", "timeout")
 
 
 def test_a_killed_simulator_ends_the_mission(server: ForkServer) -> None:
-    flight = fly_and(server, SPEC, lambda: kill_in_mid_flight("sim"))
+    flight = fly_and_kill(server, SPEC, "sim")
     assert flight.outcome.result == "stack_failure"
     assert flight.outcome.reason == "sim: SIGKILL"
     assert flight.outcome.qof.flight_time_s > 0
