@@ -52,6 +52,7 @@ def trajectory(
     departure: Departure,
     grid: VoxelGrid,
     speed_limit_m_s: float = SPEED_LIMIT_M_S,
+    acceleration_limit_m_s2: float = ACCELERATION_LIMIT_M_S2,
 ) -> NDArray[np.float64] | None:
     """Trajectory (n, 12) along ``path`` (m, 3): t, x y z, vx vy vz, ax ay az, yaw, blocking_yaw.
 
@@ -62,7 +63,7 @@ def trajectory(
     still collides after ``MIDPOINTS_MAX`` insertions.
     """
     turn_s = _first_turn(path, departure)
-    smooth = _smooth(path, departure, grid, speed_limit_m_s)
+    smooth = _smooth(path, departure, grid, speed_limit_m_s, acceleration_limit_m_s2)
     if smooth is None:
         return None
     coefficients, durations = smooth
@@ -80,7 +81,11 @@ def trajectory(
 
 
 def _smooth(
-    path: NDArray[np.float64], departure: Departure, grid: VoxelGrid, speed_limit: float
+    path: NDArray[np.float64],
+    departure: Departure,
+    grid: VoxelGrid,
+    speed_limit: float,
+    acceleration_limit: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Minimum-snap spline within the limits and clear of obstacles: coefficients, durations.
 
@@ -91,13 +96,14 @@ def _smooth(
     waypoints[0] = departure.position
     speed_limit = max(speed_limit, float(np.linalg.norm(departure.velocity)))
     for _ in range(MIDPOINTS_MAX + 1):
-        durations = _pace(waypoints, departure.velocity, _CRUISE * speed_limit, _PACE_M_S2)
+        pace_m_s2 = min(_PACE_M_S2, acceleration_limit)
+        durations = _pace(waypoints, departure.velocity, _CRUISE * speed_limit, pace_m_s2)
         first_guess_s = durations.sum()
         for _ in range(_STRETCHES_MAX):
             coefficients = minimum_snap(waypoints, durations, departure.velocity, departure.acceleration)
             times = np.arange(0.0, durations.sum() + _CHECK_S, _CHECK_S)
             motion = sample(coefficients, durations, times)
-            factors = excess(motion, times, durations, speed_limit, ACCELERATION_LIMIT_M_S2)
+            factors = excess(motion, times, durations, speed_limit, acceleration_limit)
             if factors.max() <= _STRETCH_TOLERANCE:
                 break
             durations = durations * factors

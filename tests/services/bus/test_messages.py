@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from services.kernels import KERNELS
 
 from services.bus import session
 from services.bus.messages import CollisionCheck, MalformedMessageError, decode, encode, header, type_hash
 from services.bus.topics import PLANNER, RECORDED, STAGES, TOPICS, published_by
+from services.kernels import KERNELS
 
 TYPE = TOPICS["collision_check"].type
 
