@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from injector.preflight import Finding
 from rich.table import Table
 
 from dashboard.campaigns.summary import ArmSummary
+from injector.preflight import Finding
 from services.bus.outcome import InjectionRecord, Outcome
 
 
 def outcome(one: Outcome) -> Table:
     """One flight as a table of names and values, its golden twin beside it."""
     table = Table(
-        title=f"{one.spec.world}, seed {one.spec.seed}: {one.result}", show_header=one.golden is not None
+        title=f"{one.spec.world_name}, seed {one.spec.seed}: {one.result}", show_header=one.golden is not None
     )
     table.add_column("")
     table.add_column("this flight", justify="right")

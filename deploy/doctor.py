@@ -8,10 +8,9 @@ import sys
 import tempfile
 from pathlib import Path
 
+from deploy.scratch import SOCKET_PATH_LIMIT, mission_folder
 from injector.preflight import Finding
 from injector.preflight import check as injector_findings
-
-from deploy.scratch import SOCKET_PATH_LIMIT, mission_folder
 from services.bus.session import Meeting, open_session
 
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import zenoh
-from services.kernels import KERNELS
 
 from deploy.forkserver import EXIT_BUG, ForkServer
 from deploy.platform import load_platform
@@ -33,6 +32,7 @@ from services.bus.outcome import (
     QoF,
 )
 from services.bus.topics import HORIZON_TYPE, RECORDED, STAGES, TOPICS, published_by
+from services.kernels import KERNELS
 
 LOOK_S = 0.02
 """Wall time between two looks at the processes while no message comes."""
@@ -147,7 +147,7 @@ class _Mission:
     def _start_all(self) -> None:
         processes = [one for one in STACK.values() if self._spec.fault is not None or not one.with_fault]
         self._expected = [process.name for process in processes]
-        self._latencies = dict(load_platform(self._spec.platform).latencies_ns())
+        self._latencies = load_platform(self._spec.platform).kernels
         for process in processes:
             self._supervisor.start(process, self._setup(process.name))
 
@@ -156,7 +156,7 @@ class _Mission:
             name=name,
             spec=self._spec,
             kernels=[kernel.name for kernel in KERNELS.values() if kernel.stage == name],
-            latencies_ns=self._latencies,
+            latencies=self._latencies,
             expected=self._expected,
         )
 

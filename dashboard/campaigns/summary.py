@@ -7,10 +7,10 @@ from collections import Counter
 from collections.abc import Sequence
 
 from scipy.stats import binomtest
-from services.kernels import KERNELS
 
 from dashboard.campaigns.local import Finished
-from services.bus.mission import Strict
+from services.bus.model import Strict
+from services.kernels import KERNELS
 
 
 class ArmSummary(Strict):
@@ -69,8 +69,6 @@ def _median(values: Sequence[float]) -> float | None:
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
     """The 95 % Wilson interval of a proportion; everything is possible without trials."""
-    from scipy.stats import binomtest  # noqa: PLC0415 - takes longer to import than all else together
-
     if trials == 0:
         return 0.0, 1.0
     interval = binomtest(successes, trials).proportion_ci(method="wilson")
