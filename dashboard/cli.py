@@ -28,6 +28,7 @@ from dashboard.campaigns.spec import CampaignSpec, load_campaign, runs
 from dashboard.campaigns.summary import summarise
 from dashboard.commands.bench import bench
 from dashboard.commands.options import as_json
+from dashboard.commands.redundancy import redundancy
 from dashboard.commands.world import world
 from deploy.check import BadSpecError, check, one_line
 from deploy.definitions import inlined
@@ -90,6 +91,7 @@ def _fault(text: str, seed: int) -> FaultSpec:
 
 zenfi.add_command(world)
 zenfi.add_command(bench)
+zenfi.add_command(redundancy)
 
 
 @zenfi.group()

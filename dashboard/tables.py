@@ -25,6 +25,7 @@ def outcome(one: Outcome) -> Table:
         ("flight time", "s", "flight_time_s"),
         ("distance", "m", "distance_m"),
         ("energy", "kJ", "energy_kj"),
+        ("missions per charge", "", "missions_per_charge"),
         ("replans", "", "replans"),
         ("smallest clearance", "m", "min_clearance_m"),
     ):

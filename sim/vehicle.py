@@ -53,14 +53,16 @@ def mjcf(world: World, airframe: Airframe) -> str:
   <option timestep="{STEP_S}" integrator="Euler" gravity="0 0 {-GRAVITY_M_S2}">
     <flag autoreset="disable"/>
   </option>
+  <visual><global offwidth="1280" offheight="960"/></visual>
   <worldbody>
-    <geom name="ground" type="plane" size="0 0 1" contype="0" conaffinity="1"/>
+    <geom name="ground" type="plane" size="0 0 1" contype="0" conaffinity="1" rgba=".45 .55 .4 1"/>
 {boxes}
     <body name="hull">
       <freejoint/>
       <inertial pos="0 0 0" mass="{airframe.mass_kg!r}" diaginertia="{inertia}"/>
       <geom type="cylinder" size="{airframe.hull_radius_m!r} {airframe.hull_height_m / 2!r}"
-            contype="1" conaffinity="0"/>
+            contype="1" conaffinity="0" group="3"/>
+      <camera name="front" xyaxes="0 -1 0 0 0 1"/>
 {sites}
     </body>
   </worldbody>
@@ -74,7 +76,7 @@ def mjcf(world: World, airframe: Airframe) -> str:
 def _box(corners: Floats) -> str:
     centre = " ".join(repr(float(value)) for value in (corners[:3] + corners[3:]) / 2)
     half = " ".join(repr(float(value)) for value in (corners[3:] - corners[:3]) / 2)
-    return f'<geom type="box" pos="{centre}" size="{half}" contype="0" conaffinity="1"/>'
+    return f'<geom type="box" pos="{centre}" size="{half}" contype="0" conaffinity="1" rgba=".6 .45 .35 1"/>'
 
 
 class Vehicle:

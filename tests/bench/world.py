@@ -1,7 +1,7 @@
 """What the simulated world costs: CPU of physics, camera and sensors per 95 s of flight.
 
-``python -m tests.bench.world [PROFILE] [WORLD]``: figures are of this machine, as it is loaded now. The camera
-exposes one frame in eight, as a perception that takes 300 ms (i9-9940X) lets it.
+``python -m tests.bench.world [PROFILE] [WORLD]``: figures are of this machine, as it is loaded now. The
+camera exposes one frame in eight, as a perception that takes 300 ms (i9-9940X) lets it.
 """
 
 import sys

@@ -1,0 +1,67 @@
+"""The RGB camera: MuJoCo's renderer, where this machine has an offscreen OpenGL; no part of a flight.
+
+A flight needs depth only, which is cast without a GPU. MuJoCo chooses its OpenGL when it is imported, by the
+environment variable ``MUJOCO_GL``, so backends are tried in processes of their own.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from math import atan, degrees
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from services.bus.equipment import Camera
+from sim.airframe import airframe
+from sim.camera import DepthCamera
+from sim.vehicle import Vehicle
+from sim.world import make_world
+
+BACKENDS = ("egl", "osmesa")
+_PROBE_TIMEOUT_S = 60
+
+
+class NoOpenGLError(RuntimeError):
+    """Nothing renders offscreen on the machine, or with the chosen ``MUJOCO_GL``."""
+
+
+def render(vehicle: Vehicle, camera: DepthCamera) -> NDArray[np.uint8]:
+    """What an RGB camera with the depth camera's place and intrinsics sees: uint8 (height, width, 3).
+
+    :raises NoOpenGLError: where there is no offscreen OpenGL.
+    """
+    vehicle.model.camera("front").fovy = 2 * degrees(atan(camera.height / 2 / camera.fy))
+    try:
+        with mujoco.Renderer(vehicle.model, camera.height, camera.width) as renderer:
+            renderer.update_scene(vehicle.data, "front")
+            image: NDArray[np.uint8] = renderer.render().copy()
+    except (RuntimeError, AttributeError, ImportError, mujoco.FatalError) as error:
+        message = f"no offscreen OpenGL with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')!r}: {error}"
+        raise NoOpenGLError(message) from error
+    return image
+
+
+def backend() -> str | None:
+    """The value of ``MUJOCO_GL`` with which this machine renders, None if there is none."""
+    for name in BACKENDS:
+        try:
+            tried = subprocess.run(
+                [sys.executable, "-m", "sim.rgb"],
+                env={**os.environ, "MUJOCO_GL": name},
+                capture_output=True,
+                check=False,
+                timeout=_PROBE_TIMEOUT_S,
+            )
+        except subprocess.TimeoutExpired:
+            continue
+        if tried.returncode == 0:
+            return name
+    return None
+
+
+if __name__ == "__main__":
+    render(Vehicle(make_world("sparse", 0), airframe("airsim")), DepthCamera(Camera(), 0))
