@@ -12,7 +12,7 @@ from deploy.scratch import SOCKET_PATH_LIMIT, mission_folder
 from injector.preflight import Finding
 from injector.preflight import check as injector_findings
 from services.bus.session import Meeting, open_session
-from sim.rgb import backend
+from sim.opengl import backend
 
 
 def examine() -> list[Finding]:

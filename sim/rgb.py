@@ -1,14 +1,12 @@
 """The RGB camera: MuJoCo's renderer, where this machine has an offscreen OpenGL; no part of a flight.
 
 A flight needs depth only, which is cast without a GPU. MuJoCo chooses its OpenGL when it is imported, by the
-environment variable ``MUJOCO_GL``, so backends are tried in processes of their own.
+environment variable ``MUJOCO_GL``; ``sim/opengl.py`` finds out which value works.
 """
 
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from math import atan, degrees
 
 import mujoco
@@ -20,9 +18,6 @@ from sim.airframe import airframe
 from sim.camera import DepthCamera
 from sim.vehicle import Vehicle
 from sim.world import make_world
-
-BACKENDS = ("egl", "osmesa")
-_PROBE_TIMEOUT_S = 60
 
 
 class NoOpenGLError(RuntimeError):
@@ -43,24 +38,6 @@ def render(vehicle: Vehicle, camera: DepthCamera) -> NDArray[np.uint8]:
         message = f"no offscreen OpenGL with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')!r}: {error}"
         raise NoOpenGLError(message) from error
     return image
-
-
-def backend() -> str | None:
-    """The value of ``MUJOCO_GL`` with which this machine renders, None if there is none."""
-    for name in BACKENDS:
-        try:
-            tried = subprocess.run(
-                [sys.executable, "-m", "sim.rgb"],
-                env={**os.environ, "MUJOCO_GL": name},
-                capture_output=True,
-                check=False,
-                timeout=_PROBE_TIMEOUT_S,
-            )
-        except subprocess.TimeoutExpired:
-            continue
-        if tried.returncode == 0:
-            return name
-    return None
 
 
 if __name__ == "__main__":

@@ -4,17 +4,43 @@ from __future__ import annotations
 
 import json
 import struct
+import sys
 import tomllib
 import xml.etree.ElementTree as ET
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from dashboard.cli import main
+from deploy.forkserver import ForkServer
+from deploy.mission import fly
+from services.bus.mission import MissionSpec
+from services.kernels import KERNELS
 from sim.airframe import airframe
-from sim.world import DEFINITION, make_world
+from sim.world import DEFINITION, make_world, to_toml
 from tests.dashboard.test_cli import zenfi
+
+Refused = Callable[..., str]
+
+
+@pytest.fixture
+def refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Refused:
+    """Runs the command, which must end with status 2 and one line on standard error: that line."""
+
+    def run(*arguments: str) -> str:
+        monkeypatch.setattr(sys, "argv", ["zenfi", *arguments])
+        with pytest.raises(SystemExit) as end:
+            main()
+        printed = capsys.readouterr()
+        assert end.value.code == 2
+        assert printed.out == ""
+        assert len(printed.err.splitlines()) == 1
+        return printed.err
+
+    return run
 
 
 def test_an_exported_world_is_the_same_world_byte_for_byte(tmp_path: Path) -> None:
@@ -29,15 +55,11 @@ def test_an_exported_world_is_the_same_world_byte_for_byte(tmp_path: Path) -> No
     assert path.read_bytes() == first
 
 
-def test_a_flight_in_an_exported_world_is_the_flight_in_the_world(tmp_path: Path) -> None:
-    path = tmp_path / "mine.toml"
-    zenfi("world", "export", "sparse", "--seed", "7", str(path))
-    flights = [
-        json.loads(zenfi("fly", "--world", name, "--seed", "7", "--json").stdout)
-        for name in ("sparse", str(path))
-    ]
-    assert flights[0]["digest"] == flights[1]["digest"]
-    assert flights[0]["qof"] == flights[1]["qof"]
+def test_a_flight_in_an_exported_world_is_the_flight_in_the_world(server: ForkServer) -> None:
+    exported = DEFINITION.validate_python(tomllib.loads(to_toml(make_world("sparse", 7))))
+    named, given = (fly(MissionSpec(world=world, seed=7), server).outcome for world in ("sparse", exported))
+    assert given.digest == named.digest
+    assert given.qof == named.qof
 
 
 def test_show_prints_figures_and_draws_the_plan(tmp_path: Path) -> None:
@@ -93,15 +115,13 @@ GRID = 'name = "mine"\nkind = "grid"\n'
         ("name = ", "TOML"),
     ],
 )
-def test_a_bad_world_is_refused_with_its_value_in_one_line(text: str, says: str, tmp_path: Path) -> None:
+def test_a_bad_world_is_refused_with_its_value_in_one_line(
+    text: str, says: str, tmp_path: Path, refused: Refused
+) -> None:
     path = tmp_path / "world.toml"
     path.write_text(text)
     for command in (("fly", "--world", str(path)), ("world", "show", str(path))):
-        answer = zenfi(*command)
-        assert answer.returncode == 2
-        assert answer.stdout == ""
-        assert len(answer.stderr.splitlines()) == 1
-        assert says in answer.stderr
+        assert says in refused(*command)
 
 
 @pytest.mark.parametrize(
@@ -123,29 +143,17 @@ def test_a_bad_world_is_refused_with_its_value_in_one_line(text: str, says: str,
         (("bench", "kernels", "--output", "host.txt"), "host.txt"),
     ],
 )
-def test_bad_input_is_one_clear_line_and_status_2(arguments: tuple[str, ...], says: str) -> None:
-    answer = zenfi(*arguments)
-    assert answer.returncode == 2
-    assert answer.stdout == ""
-    assert len(answer.stderr.splitlines()) == 1
-    assert says in answer.stderr
+def test_bad_input_is_one_clear_line_and_status_2(
+    arguments: tuple[str, ...], says: str, refused: Refused
+) -> None:
+    assert says in refused(*arguments)
 
 
 def test_an_airframe_and_a_platform_of_ones_own_fly_and_travel_in_the_outcome(tmp_path: Path) -> None:
     mine, slow = tmp_path / "mine.toml", tmp_path / "slow.toml"
     fields = airframe("airsim").model_dump() | {"name": "mine", "source": "", "max_rpm": 12000.0}
     mine.write_text("".join(f"{name} = {json.dumps(value)}\n" for name, value in fields.items()))
-    kernels = [
-        "point_cloud",
-        "octomap",
-        "collision_check",
-        "rrt",
-        "rrt_connect",
-        "rrt_star",
-        "trajectory",
-        "pid",
-    ]
-    latencies = "".join(f"{kernel} = {{ mean_ms = 5.0, jitter = 0.2 }}\n" for kernel in kernels)
+    latencies = "".join(f"{kernel} = {{ mean_ms = 5.0, jitter = 0.2 }}\n" for kernel in KERNELS)
     slow.write_text(f'name = "slow"\nsource = "a test"\n[kernels]\n{latencies}')
     answer = zenfi("fly", "--airframe", str(mine), "--platform", str(slow), "--json")
     outcome = json.loads(answer.stdout)

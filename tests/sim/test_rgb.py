@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from sim.rgb import backend
+from sim.opengl import backend
 
 SCENE = """
 import numpy as np

@@ -34,7 +34,7 @@ def test_a_specification_survives_json_with_its_definitions() -> None:
         {
             "profile": "paper",
             "world": {"name": "mine", "kind": "grid", "density": 0.1, "obstacle_m": 2.0},
-            "platform": {"name": "mine", "source": "", "kernels": {"pid": {"mean_ms": 1.0, "jitter": 0.1}}},
+            "platform": {"name": "a", "source": "", "kernels": {"pid": {"mean_ms": 1.0, "jitter": 0.1}}},
         }
     )
     again = MissionSpec.model_validate_json(spec.model_dump_json())
