@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import inf
+
 import pytest
 
 from deploy.check import BadSpecError, check
@@ -54,17 +56,19 @@ def test_a_platform_that_does_not_match_the_kernels_is_refused(
 
 
 def test_a_slower_platform_flies_worse(server: ForkServer) -> None:
-    times, replans = {}, {}
+    """By the virtual time flown for each mission that arrives."""
+    cost_s, frames = {}, {}
     for name in ("i9-9940x", "tx2"):
-        flights = [fly(MissionSpec(seed=seed, platform=name), server).outcome for seed in (0, 3, 5)]
-        assert all(flight.qof.success for flight in flights)
-        times[name] = sum(flight.qof.flight_time_s for flight in flights)
-        replans[name] = sum(flight.nodes["perception"].steps for flight in flights)
-    assert times["tx2"] > 1.1 * times["i9-9940x"]
-    assert replans["tx2"] < replans["i9-9940x"]
+        flights = [fly(MissionSpec(seed=seed, platform=name), server).outcome for seed in range(5)]
+        arrived = sum(flight.qof.success for flight in flights)
+        flown_s = sum(flight.qof.flight_time_s for flight in flights)
+        cost_s[name] = flown_s / arrived if arrived else inf
+        frames[name] = sum(flight.nodes["perception"].steps for flight in flights) / flown_s
+    assert cost_s["tx2"] > 1.1 * cost_s["i9-9940x"]
+    assert frames["tx2"] < frames["i9-9940x"] / 3
 
 
-def test_jittered_latencies_show_in_the_stamps_and_repeat(server: ForkServer) -> None:
+def test_a_flight_with_jittered_latencies_repeats(server: ForkServer) -> None:
     spec = MissionSpec(seed=7, limits=Limits(mission_time_s=4.0))
     first, again = fly(spec, server), fly(spec, server)
     assert first.outcome.digest == again.outcome.digest
