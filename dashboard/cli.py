@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import sys
+from io import StringIO
+from pathlib import Path
 from typing import Any
 
 import click
@@ -39,6 +41,11 @@ from deploy.supervisor import InfrastructureError
 from services.bus.mission import FaultSpec, MissionSpec
 
 messages = Console(stderr=True)
+
+as_picture = click.option(
+    "--svg", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Also draw the table."
+)
+PICTURE_COLUMNS = 90
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -103,19 +110,21 @@ def campaign() -> None:
 @click.argument("spec")
 @click.option("--slots", type=click.IntRange(1, 256), help="Flights at a time (default: one per processor).")
 @as_json
-def campaign_run(spec: str, slots: int | None, as_json: bool) -> None:
+@as_picture
+def campaign_run(spec: str, slots: int | None, as_json: bool, svg: Path | None) -> None:
     """Fly the campaign in the TOML file SPEC, or the preset of that name."""
-    _run(load_campaign(spec), slots, as_json)
+    _run(load_campaign(spec), slots, as_json, svg)
 
 
 @zenfi.command()
 @as_json
-def demo(as_json: bool) -> None:
+@as_picture
+def demo(as_json: bool, svg: Path | None) -> None:
     """A small campaign in Sparse: golden flights beside flights with one flipped bit."""
-    _run(load_campaign("demo"), None, as_json)
+    _run(load_campaign("demo"), None, as_json, svg)
 
 
-def _run(spec: CampaignSpec, slots: int | None, as_json: bool) -> None:
+def _run(spec: CampaignSpec, slots: int | None, as_json: bool, svg: Path | None) -> None:
     planned = list(runs(spec))
     finished: list[Finished] = []
     columns = (
@@ -141,6 +150,10 @@ def _run(spec: CampaignSpec, slots: int | None, as_json: bool) -> None:
         click.echo(json.dumps({"summary": [line.model_dump() for line in summary]}))
     else:
         Console().print(tables.campaign(spec.name, summary))
+    if svg is not None:
+        paper = Console(record=True, file=StringIO(), width=PICTURE_COLUMNS)
+        paper.print(tables.campaign(spec.name, summary))
+        paper.save_svg(str(svg), title=f"zenfi campaign run {spec.name}")
     if any(one.outcome is None for one in finished):
         sys.exit(1)
 

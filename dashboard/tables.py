@@ -10,6 +10,8 @@ from dashboard.campaigns.summary import ArmSummary
 from injector.preflight import Finding
 from services.bus.outcome import InjectionRecord, Outcome
 
+NODE_RESULTS = ("benign", "sdc", "crash", "hang")
+
 
 def outcome(one: Outcome) -> Table:
     """One flight as a table of names and values, its golden twin beside it."""
@@ -55,34 +57,24 @@ def _number(value: float, unit: str) -> str:
 
 
 def campaign(name: str, summary: Sequence[ArmSummary]) -> Table:
-    """Quality of flight per arm."""
+    """Quality of flight per arm; fits a terminal of 80 columns."""
     table = Table(
         title=f"{name}: quality of flight per arm",
-        caption="Success with its 95 % Wilson interval; time, distance and energy are medians of successes.",
+        caption="95 %: Wilson interval of success. s, m, kJ: medians of successes; replans: their mean. "
+        "hit: flights in which the bit was flipped; then what became of the node aimed at.",
     )
     table.add_column("arm")
-    for column in (
-        "flights",
-        "success",
-        "time s",
-        "distance m",
-        "energy kJ",
-        "replans",
-        "injected",
-        "outcome",
-    ):
+    for column in ("success", "95 %", "s", "m", "kJ", "replans", "hit", *NODE_RESULTS):
         table.add_column(column, justify="right")
     for line in summary:
-        flown = line.runs - line.failed_to_fly
-        success = f"{line.successes}/{flown} [{100 * line.success_low:.0f}-{100 * line.success_high:.0f} %]"
-        results = ", ".join(f"{count} {result}" for result, count in line.results.items())
+        aimed = bool(line.results)
         table.add_row(
             line.arm,
-            str(line.runs),
-            success,
+            f"{line.successes}/{line.runs - line.failed_to_fly}",
+            f"{100 * line.success_low:.0f}-{100 * line.success_high:.0f}",
             *(_cell(value) for value in (line.flight_time_s, line.distance_m, line.energy_kj, line.replans)),
-            str(line.injected) if line.results else "-",
-            results or "golden",
+            str(line.injected) if aimed else "-",
+            *(str(line.results.get(result, 0)) if aimed else "-" for result in NODE_RESULTS),
         )
     return table
 

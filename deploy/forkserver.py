@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
-from deploy.stack import STACK
+from deploy.stack import STACK, Process
 from services.bus.node import NodeSetup
 from services.bus.session import Meeting, topic_key
 from services.bus.topics import TOPICS
@@ -34,6 +34,9 @@ PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
 PR_SET_PTRACER = 0x59616D61
 ADDR_NO_RANDOMIZE = 0x0040000
+ZENOH_RUNTIME = "(acc: (handover: app), net: (handover: app), tx: (handover: app))"
+"""Three threads of Zenoh in a node instead of six: each one more is one more to stop for an injection."""
+
 EXIT_BUG = 70
 """Exit status of a node that ended by an exception (sysexits.h: EX_SOFTWARE)."""
 
@@ -56,7 +59,8 @@ class Exited:
 class ForkServer:
     """The supervisor's end: starts the server, has nodes forked, hears of their ends."""
 
-    def __init__(self) -> None:
+    def __init__(self, stack: Mapping[str, Process] = STACK) -> None:
+        self.stack = stack
         own, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.socket = own
         environment = {
@@ -64,6 +68,7 @@ class ForkServer:
             "PYTHONHASHSEED": "0",
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",
+            "ZENOH_RUNTIME": ZENOH_RUNTIME,
         }
         arguments = [sys.executable, "-m", "deploy.forkserver", str(theirs.fileno()), str(os.getpid())]
         # A session of its own: Ctrl-C at the terminal is the supervisor's business.
@@ -76,6 +81,7 @@ class ForkServer:
         )
         theirs.close()
         self._pending: list[Exited] = []
+        own.send(json.dumps({process.name: process.module for process in stack.values()}).encode())
         if self._receive() != {"ready": True}:
             raise ForkServerError("the fork server did not start")
 
@@ -146,7 +152,8 @@ def _without_address_randomisation() -> None:
 
 def serve(control: socket.socket) -> None:
     """Fork nodes on request and report their ends until the supervisor closes its end."""
-    modules = {process.name: importlib.import_module(process.module) for process in STACK.values()}
+    names = json.loads(control.recv(_MESSAGE_SIZE))
+    modules = {name: importlib.import_module(module) for name, module in names.items()}
     for module in modules.values():
         module.warm_up()
     for topic in TOPICS:

@@ -15,7 +15,6 @@ from deploy.forkserver import EXIT_BUG, ForkServer
 from deploy.platform import load_platform
 from deploy.recorder import Recorder, Trace
 from deploy.scratch import mission_folder
-from deploy.stack import STACK
 from deploy.supervisor import InfrastructureError, Member, Supervisor
 from services.bus import session
 from services.bus.horizon import NEVER_NS
@@ -31,14 +30,14 @@ from services.bus.outcome import (
     Outcome,
     QoF,
 )
-from services.bus.topics import HORIZON_TYPE, RECORDED, STAGES, TOPICS, published_by
+from services.bus.topics import HORIZON_TYPE, RECORDED, STAGES, TOPICS
 from services.kernels import KERNELS
 
 LOOK_S = 0.02
 """Wall time between two looks at the processes while no message comes."""
 
 STALL_S = 20.0
-"""Wall time without any message after which somebody must be hanging outside a step."""
+"""Wall time without a message or promise after which somebody must be hanging outside a step."""
 
 CATCH_UP_S = 2.0
 GRACE_S = 2.0
@@ -82,6 +81,7 @@ class _Mission:
         self._reason = ""
         self._qof: QoF | None = None
         self._end_ns = NEVER_NS
+        self._last_word = 0.0
 
     def fly(self) -> Flight:
         begin = time.monotonic()
@@ -103,7 +103,9 @@ class _Mission:
 
     def _listen(self, bus: zenoh.Session) -> None:
         def subscribe(key: str, handle: Callable[[Any], None]) -> Any:
-            return bus.declare_subscriber(key, lambda sample: self._events.put((handle, sample)))
+            return bus.declare_subscriber(
+                key, session.hand_over(lambda sample: self._events.put((handle, sample)))
+            )
 
         self._declared = [
             subscribe(session.topic_key(topic.name), self._recording(topic.name)) for topic in RECORDED
@@ -112,16 +114,25 @@ class _Mission:
         self._declared.append(subscribe(session.topic_key("injection"), self._take_injection))
         self._declared.append(
             bus.declare_queryable(
-                f"{session.HISTORY_KEY}/**", lambda query: self._events.put((self._answer, query))
+                f"{session.HISTORY_KEY}/**",
+                session.hand_over(lambda query: self._events.put((self._answer, query))),
             )
         )
         self._horizons = {stage: bus.declare_publisher(session.horizon_key(stage)) for stage in STAGES}
 
     def _recording(self, topic: str) -> Callable[[Any], None]:
-        return lambda sample: self._recorder.record(topic, session.stamped(sample))
+        def handle(sample: zenoh.Sample) -> None:
+            self._last_word = time.monotonic()
+            self._recorder.record(topic, session.stamped(sample))
+
+        return handle
 
     def _hearing(self, stage: str) -> Callable[[Any], None]:
-        return lambda sample: self._recorder.hear(stage, sample.payload.to_bytes())
+        def handle(sample: zenoh.Sample) -> None:
+            self._last_word = time.monotonic()
+            self._recorder.hear(stage, sample.payload.to_bytes())
+
+        return handle
 
     def _take_injection(self, sample: zenoh.Sample) -> None:
         message = decode(sample.payload.to_bytes(), TOPICS["injection"].type)
@@ -145,7 +156,9 @@ class _Mission:
                 )
 
     def _start_all(self) -> None:
-        processes = [one for one in STACK.values() if self._spec.fault is not None or not one.with_fault]
+        processes = [
+            one for one in self._server.stack.values() if self._spec.fault is not None or not one.with_fault
+        ]
         self._expected = [process.name for process in processes]
         self._latencies = load_platform(self._spec.platform).kernels
         for process in processes:
@@ -164,18 +177,17 @@ class _Mission:
 
     def _until_ended(self) -> None:
         """Take in messages and look after the processes until all up to the mission's end is recorded."""
-        last_event = last_look = time.monotonic()
+        last_look = self._last_word = time.monotonic()
         while self._result is None or not self._recorder.complete(self._end_ns):
             if self._take_in(LOOK_S):
-                last_event = time.monotonic()
                 self._look_for_end()
             if time.monotonic() - last_look > LOOK_S:
                 last_look = time.monotonic()
                 self._bury_and_revive()
                 self._supervisor.kill_hung()
-                if last_look - last_event > STALL_S:
+                if last_look - self._last_word > STALL_S:
                     self._stalled()
-                    last_event = last_look
+                    self._last_word = last_look
             if self._result == "stack_failure":
                 return
 
@@ -275,7 +287,8 @@ class _Mission:
         counts = list(self._recorder.published(stage).values())
         message = Horizon(
             serial=life << LIFE_SHIFT,
-            accepted_ns=NEVER_NS,
+            # Older triggers are settled: the new life will not know them. Later ones await it.
+            accepted_ns=start_ns - 1,
             busy_until_ns=start_ns,
             until_ns=np.full(len(counts), start_ns, dtype=np.int64),
             count=np.array(counts, dtype=np.uint64),
@@ -320,4 +333,4 @@ class _Mission:
             return "crash" if member.crashes else "golden"
 
         members = self._supervisor.members
-        return {name: member.report(result(member)) for name, member in members.items() if published_by(name)}
+        return {name: member.report(result(member)) for name, member in members.items() if name in STAGES}

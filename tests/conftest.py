@@ -33,27 +33,57 @@ def wait_until(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
         time.sleep(0.002)
 
 
-def processes(marker: str) -> list[int]:
-    """Pids of living processes whose name or command line holds ``marker``."""
-    found = []
+def descendants(pid: int) -> dict[int, str]:
+    """The living children of a process, their children and so on: name by pid."""
+    family: dict[int, list[tuple[int, str]]] = {}
     for entry in Path("/proc").iterdir():
-        if entry.name.isdigit() and int(entry.name) != os.getpid():
-            try:
-                name = (entry / "comm").read_text()
-                command = (entry / "cmdline").read_bytes().decode(errors="replace")
-                state = (entry / "stat").read_text().rpartition(")")[2].split()[0]
-            except (FileNotFoundError, ProcessLookupError):
-                continue
-            if state != "Z" and (marker in name or marker in command):
-                found.append(int(entry.name))
+        if not entry.name.isdigit():
+            continue
+        try:
+            stat = (entry / "stat").read_text()
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        name, _, rest = stat.partition("(")[2].rpartition(")")
+        state, parent = rest.split()[:2]
+        if state != "Z":
+            family.setdefault(int(parent), []).append((int(entry.name), name))
+    found: dict[int, str] = {}
+    waiting = [pid]
+    while waiting:
+        for child, name in family.get(waiting.pop(), []):
+            found[child] = name
+            waiting.append(child)
     return found
 
 
-def folders() -> list[Path]:
-    """Folders of missions, living or dead."""
-    return list(Path(tempfile.gettempdir()).glob(f"{PREFIX}*-*-*"))
+def node(supervisor: int, name: str) -> int | None:
+    """The pid of a node of the mission that a process supervises."""
+    comm = f"zenfi-{name}"[:15]
+    return next((pid for pid, found in descendants(supervisor).items() if found == comm), None)
 
 
-def segments() -> list[str]:
+def cpu_s(pid: int) -> float:
+    """Processor time that a process has used, 0 if it is gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except (FileNotFoundError, ProcessLookupError):
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def alive(pid: int) -> bool:
+    """Whether a process exists and is no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def folders(owner: int) -> list[Path]:
+    """Folders of missions that a process supervised, living or dead."""
+    return list(Path(tempfile.gettempdir()).glob(f"{PREFIX}{owner}-*"))
+
+
+def segments() -> set[str]:
     """Shared memory segments of Zenoh."""
-    return [entry.name for entry in Path("/dev/shm").glob("*.zenoh*")]  # noqa: S108 - to see that it is empty
+    return {entry.name for entry in Path("/dev/shm").glob("*.zenoh*")}  # noqa: S108 - to see that none is left

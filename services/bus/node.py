@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import queue
+import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -35,6 +36,9 @@ LINKING_S = 0.2
 """Longest wait for links to all other nodes; one may be dead."""
 
 GATE_TIMEOUT_S = 60.0
+GATE_SIGNAL = signal.SIGURG
+"""Marks the beginning and the end of an armed call to the tracer; ignored by default."""
+
 LIFE_SHIFT = 32
 
 
@@ -119,7 +123,9 @@ class Node:
 
     def _subscribe(self, key: str, label: str) -> None:
         inbox = self._inbox
-        self._declared.append(self.session.declare_subscriber(key, lambda sample: inbox.put((label, sample))))
+        self._declared.append(
+            self.session.declare_subscriber(key, session.hand_over(lambda sample: inbox.put((label, sample))))
+        )
 
     def ready(self) -> None:
         """Announce the node and wait until every node of the mission has announced itself.
@@ -227,14 +233,16 @@ class Node:
             and fault.trigger is not None
             and (fault.target, fault.trigger.invocation) == (name, invocation)
         )
+        # Before the call: one that ends in a crash is not to be armed again in the next life.
+        page["invocations"][index] += 1
         if armed:
             self._gate("enter", name)
         begin = time.thread_time_ns()
         yield
         spent = time.thread_time_ns() - begin
         if armed:
+            signal.raise_signal(GATE_SIGNAL)
             self._gate("leave", name)
-        page["invocations"][index] += 1
         page["cpu_ns"][index] += spent
         page["cpu_squares_ns2"][index] += float(spent) ** 2
         page["last_cpu_ns"][index] = spent
@@ -245,6 +253,11 @@ class Node:
         return self._latencies[kernel].slow_ns
 
     def _gate(self, phase: str, kernel: str) -> None:
+        """Let the injector take hold, or let go, of us.
+
+        Once it has, a signal to ourselves marks to the instruction where the call begins and ends: the
+        tracer sees it and takes it away, and without a tracer it is ignored.
+        """
         request = {"phase": phase, "kernel": kernel, "virtual_time_ns": self.now_ns}
         replies = self.session.get(
             session.gate_key(self.name), payload=json.dumps(request), timeout=GATE_TIMEOUT_S
@@ -252,6 +265,8 @@ class Node:
         if not any(reply.ok for reply in replies):
             message = f"{self.name}: the injector did not answer at the gate of {kernel}"
             raise BusError(message)
+        if phase == "enter":
+            signal.raise_signal(GATE_SIGNAL)
 
     # -- the loop of the clock's owner -------------------------------------------------------------
 

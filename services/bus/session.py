@@ -11,10 +11,13 @@ import functools
 import hashlib
 import json
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import zenoh
+from zenoh.handlers import Callback
 
 from services.bus.horizon import Stamped
 from services.bus.messages import type_hash
@@ -59,6 +62,15 @@ def open_session(meeting: Meeting, name: str, *, router: bool = False) -> zenoh.
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)
+
+
+def hand_over(take: Callable[[Any], None]) -> Callback[Any]:
+    """A handler for ``take``, called on Zenoh's own thread: it may only put into a queue.
+
+    By default each subscriber has a thread of its own in between, one more for the injector to stop
+    and one more wake-up for each message.
+    """
+    return Callback(take, indirect=False)
 
 
 @functools.cache

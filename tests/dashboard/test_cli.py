@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import folders, processes, segments, wait_until
+from tests.conftest import alive, descendants, folders, node, segments, wait_until
 
 ZENFI = str(Path(sys.executable).parent / "zenfi")
 
@@ -103,13 +103,14 @@ def test_a_stopped_campaign_leaves_nothing_behind(stop: int, status: int) -> Non
     with subprocess.Popen(
         [ZENFI, "campaign", "run", "demo", "--json"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     ) as command:
-        wait_until(lambda: bool(processes("zenfi-control")))
+        wait_until(lambda: node(command.pid, "control") is not None)
+        family = descendants(command.pid)
         os.kill(command.pid, stop)
         assert command.wait(timeout=20) == status
-    wait_until(lambda: not processes("deploy.worker") and not processes("zenfi-control"))
+    wait_until(lambda: not any(map(alive, family)))
     assert not segments()
-    zenfi("doctor")
-    assert not folders()
+    assert zenfi("doctor").returncode == 0
+    assert not any(folders(pid) for pid in family)
 
 
 def test_doctor_tells_what_the_machine_allows() -> None:

@@ -1,0 +1,285 @@
+"""Stopping all threads of a set of processes, and letting them go again whatever happens.
+
+A thread that is seized and runs costs it nothing, so seizing is done ahead of time.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Literal
+
+from injector import ptrace
+from injector.process import has_ended, thread_count, threads, tracer_of
+from injector.ptrace import Report
+
+STOP_LIMIT_S = 5.0
+"""Wall time within which a thread must stop; only one that hangs in a device driver takes longer."""
+
+STEP_LIMIT_S = 5.0
+"""Wall time for one instruction: long enough for a page fault on a loaded machine."""
+
+END_LIMIT_S = 1.0
+"""Wall time for a killed thread to be gone."""
+
+_TRAPS = ("step", "timer", "gate")
+_FAULTS = frozenset({signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGTRAP})
+
+
+class FreezeError(Exception):
+    """A thread did not stop in time."""
+
+
+@dataclass(slots=True, eq=False)
+class Thread:
+    """A traced thread: why it stands (None: it runs) and which signals it gets when it goes on."""
+
+    pid: int
+    tid: int
+    report: Report | None = None
+    signals: list[int] = field(default_factory=list)
+    timed: bool = False  # a timer was set on it: a trap may be under way
+
+
+class Tracees:
+    """The threads that we trace. To be used by one thread, within ``with``, which always detaches.
+
+    ``threads_stopped`` and ``pause_us`` tell of the last pause: how many threads stood, and the time from
+    the first interrupt to the last resume.
+    """
+
+    def __init__(self, gate_signal: int | None = None) -> None:
+        """Trace nobody yet. Who gets ``gate_signal`` stands, and the signal is taken away."""
+        self._gate_signal = gate_signal
+        self.threads: dict[int, Thread] = {}
+        self.threads_stopped = 0
+        self.pause_us = 0.0
+        self._pause_begin_ns = 0
+        self._pids: list[int] = []
+        self._ending: list[Thread] = []
+
+    def __enter__(self) -> Tracees:
+        self._signal_mask = ptrace.hear_of_children()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        try:
+            self.detach_all()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, self._signal_mask)
+
+    # -- getting hold of them ----------------------------------------------------------------------
+
+    def seize(self, pids: Iterable[int]) -> None:
+        """Trace all threads of the processes, and every thread that they start from now on.
+
+        :raises NotPermittedError: if the kernel forbids it.
+        """
+        for pid in pids:
+            self._pids.append(pid)
+            self._seize_threads(pid)
+
+    def _seize_threads(self, pid: int) -> bool:
+        """Seize the threads of a process that are not ours yet; whether there were any."""
+        before = len(self.threads)
+        while fresh := [tid for tid in threads(pid) if self._seize(pid, tid)]:
+            self.threads |= {tid: Thread(pid, tid) for tid in fresh}
+        return len(self.threads) > before
+
+    def _seize(self, pid: int, tid: int) -> bool:
+        """Whether the thread was seized; not if it is ours already or has ended."""
+        if tid in self.threads:
+            return False
+        try:
+            ptrace.seize(tid)
+        except ptrace.GoneError:
+            return False
+        except ptrace.NotPermittedError as error:
+            tracer = tracer_of(tid)
+            if has_ended(tid):
+                return False
+            if tracer != threading.get_native_id():
+                by = f": thread {tracer} traces it (a debugger?)" if tracer else ""
+                message = f"process {pid}: {error}{by}"
+                raise ptrace.NotPermittedError(message) from error
+            # Its parent, already ours, started it meanwhile.
+            self.service()
+            self.threads.setdefault(tid, Thread(pid, tid))
+            return False
+        return True
+
+    # -- hearing of them ---------------------------------------------------------------------------
+
+    def service(self) -> None:
+        """Let running threads go on that only have a signal or news to pass on; traps of ours stay."""
+        for thread in self._running():
+            report = self._look(thread)
+            if report is not None and report.kind not in ("gone", *_TRAPS):
+                self._resume(thread)
+
+    def _running(self) -> list[Thread]:
+        return [thread for thread in self.threads.values() if thread.report is None]
+
+    def _look(self, thread: Thread) -> Report | None:
+        """Take in what a running thread reports, if anything: it then stands or is gone."""
+        report = ptrace.poll(thread.tid)
+        if report is None:
+            return None
+        if report.kind == "gone":
+            del self.threads[thread.tid]
+            return report
+        if report.kind == "signal" and report.signal == self._gate_signal:
+            report = Report("gate")
+        elif report.kind == "signal":
+            thread.signals.append(report.signal)
+        thread.report = report
+        if report.kind == "new_thread":
+            with suppress(ptrace.GoneError):  # killed meanwhile, its child with it
+                tid = ptrace.new_thread(thread.tid)
+                self.threads.setdefault(tid, Thread(thread.pid, tid))
+        return report
+
+    # -- stopping and resuming ---------------------------------------------------------------------
+
+    def stop_all(self) -> None:
+        """Stop every thread.
+
+        :raises FreezeError: if one does not stop.
+        """
+        self._pause_begin_ns = time.monotonic_ns()
+        self._interrupt_all()
+        self._await_stops()
+        # Reading the list of threads while some come and go can miss one.
+        while sum(self._seize_threads(pid) for pid in self._incomplete()):
+            self._interrupt_all()
+            self._await_stops()
+        self.threads_stopped = len(self.threads)
+
+    def _interrupt_all(self) -> None:
+        for thread in self.threads.values():
+            stepped = thread.report is not None and thread.report.kind == "step"
+            if thread.report is not None and not stepped:
+                continue
+            thread.report = None
+            with suppress(ptrace.GoneError):  # its end is reported next
+                ptrace.interrupt(thread.tid)
+                if stepped:
+                    # It stands again before its next instruction, but no longer in single steps: should we
+                    # be killed, it would go on in them untraced, and die of the first.
+                    ptrace.resume(thread.tid)
+
+    def _incomplete(self) -> list[int]:
+        """The processes that have another number of threads than we hold."""
+        held = Counter(thread.pid for thread in self.threads.values())
+        return [pid for pid in self._pids if thread_count(pid) != held[pid]]
+
+    def _await_stops(self) -> None:
+        def all_stand() -> Literal[True] | None:
+            for thread in self._running():
+                self._look(thread)
+            return None if self._running() else True
+
+        if ptrace.wait_until(all_stand, STOP_LIMIT_S / 100):
+            return
+        # The first thread of a process reports its end only when all others have ended.
+        for thread in [thread for thread in self._running() if has_ended(thread.tid)]:
+            self._ending.append(self.threads.pop(thread.tid))
+        if not ptrace.wait_until(all_stand, STOP_LIMIT_S):
+            names = ", ".join(f"{thread.tid} of process {thread.pid}" for thread in self._running())
+            message = f"did not stop within {STOP_LIMIT_S} s: thread {names}"
+            raise FreezeError(message)
+
+    def resume_all(self) -> None:
+        """Let all threads run, in the order in which they were seized; they stay traced."""
+        for thread in self.threads.values():
+            if thread.report is not None:
+                self._resume(thread)
+        self._end_pause()
+
+    def _end_pause(self) -> None:
+        if self._pause_begin_ns:
+            self.pause_us = (time.monotonic_ns() - self._pause_begin_ns) / 1e3
+            self._pause_begin_ns = 0
+
+    def _resume(self, thread: Thread) -> None:
+        group_stop = thread.report is not None and thread.report.kind == "group_stop"
+        number = self._next_signal(thread)
+        thread.report = None
+        with suppress(ptrace.GoneError):  # killed while it stood; its end is reported next
+            if group_stop:
+                ptrace.listen(thread.tid)
+            else:
+                ptrace.resume(thread.tid, number)
+
+    def _next_signal(self, thread: Thread) -> int:
+        """The signal to deliver on resuming: only a thread that stands at a signal takes one that way.
+
+        Others, which came while stepping, are sent again.
+        """
+        at_signal = thread.report is not None and thread.report.kind in ("signal", *_TRAPS)
+        first = thread.signals.pop(0) if at_signal and thread.signals else 0
+        for number in thread.signals:
+            ptrace.send(thread.pid, thread.tid, number)
+        thread.signals.clear()
+        return first
+
+    def step(self, thread: Thread) -> Literal["stepped", "faulted", "gone", "stuck"]:
+        """Let a standing thread execute one instruction while the others stay as they are.
+
+        ``faulted``: the instruction raised a signal, which is delivered when the thread is resumed.
+        Signals from elsewhere wait until then, too. ``stuck``: it did not come back and runs.
+        """
+        deadline = time.monotonic() + STEP_LIMIT_S
+        while True:
+            thread.report = None
+            with suppress(ptrace.GoneError):  # killed; its end is reported next
+                ptrace.step(thread.tid)
+            report = ptrace.wait_until(lambda: self._look(thread), deadline - time.monotonic())
+            if report is None:
+                return "stuck"
+            if report.kind == "gone":
+                return "gone"
+            if report.kind == "step":
+                return "stepped"
+            if report.kind == "signal" and report.signal in _FAULTS:
+                return "faulted"
+
+    def detach_all(self) -> None:
+        """Let all threads run untraced, in the order in which they were seized.
+
+        :raises FreezeError: if one cannot be stopped, which is needed to let go of it. The others are free.
+        """
+        try:
+            self._interrupt_all()
+            self._await_stops()
+        finally:
+            for thread in list(self.threads.values()):
+                self._detach(thread)
+            self.threads.clear()
+            self._end_pause()
+            ptrace.wait_until(self._reaped, END_LIMIT_S)
+
+    def _detach(self, thread: Thread) -> None:
+        try:
+            if thread.timed:
+                self._swallow_timer_trap(thread)
+            ptrace.detach(thread.tid, self._next_signal(thread))
+        except ptrace.GoneError:
+            self._ending.append(thread)
+
+    def _swallow_timer_trap(self, thread: Thread) -> None:
+        """Take a timer's trap that was under way when the thread stopped: untraced, it would die of it."""
+        while ptrace.timer_trap_pending(thread.tid):
+            thread.report = None
+            ptrace.resume(thread.tid)
+            ptrace.wait_until(lambda: self._look(thread), STOP_LIMIT_S)
+
+    def _reaped(self) -> Literal[True] | None:
+        """Take in the ends of threads that were killed: their parent hears of it only after us."""
+        self._ending = [thread for thread in self._ending if ptrace.poll(thread.tid) is None]
+        return None if self._ending else True

@@ -1,0 +1,211 @@
+"""A process on this machine: whether it is the one that was announced, its threads and its code."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import select
+from bisect import bisect_right
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from services.bus.announce import Announcement, boot_id, start_ticks
+
+LONGEST_INSTRUCTION = 15
+"""Bytes (Intel SDM volume 2, section 2.3.11)."""
+
+
+class IdentityError(Exception):
+    """A process is not what it was announced as; it is not touched."""
+
+
+class VanishedError(IdentityError):
+    """The announced process is gone, whether or not its pid is in use again."""
+
+
+class CodeError(Exception):
+    """There is no code to read at an address."""
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """What tells a process from every other one: on one boot ``pid`` and ``start_ticks``.
+
+    ``start_ticks`` is field 22 of /proc/PID/stat; ``executable`` are device and inode of its file.
+    """
+
+    boot_id: str
+    pid: int
+    start_ticks: int
+    uid: int
+    executable: tuple[int, int]
+
+    @classmethod
+    def announced(cls, claim: Announcement) -> Identity:
+        """What a node must be if its claim is true: nodes run our executable as our user."""
+        own = cls.of(os.getpid())
+        return cls(claim.boot_id, claim.pid, claim.start_ticks, own.uid, own.executable)
+
+    @classmethod
+    def of(cls, pid: int) -> Identity:
+        """What a process is by the kernel's account.
+
+        :raises VanishedError: if there is none.
+        :raises IdentityError: if it is another user's and cannot be looked at.
+        """
+        try:
+            executable = os.stat(f"/proc/{pid}/exe")  # noqa: PTH116 - a link that is followed
+            uid = os.stat(f"/proc/{pid}").st_uid  # noqa: PTH116
+            return cls(boot_id(), pid, start_ticks(pid), uid, (executable.st_dev, executable.st_ino))
+        except PermissionError as error:
+            message = f"process {pid} belongs to another user or may not be inspected"
+            raise IdentityError(message) from error
+        except OSError as error:
+            message = f"process {pid} is gone"
+            raise VanishedError(message) from error
+
+
+@dataclass(frozen=True, slots=True)
+class Mapping:
+    """A piece of a process's memory; ``path`` is empty where no file is behind it."""
+
+    start: int
+    end: int
+    offset: int
+    path: str
+
+
+class Maps:
+    """The memory map of a process at one moment, as /proc/PID/maps tells it."""
+
+    def __init__(self, text: str) -> None:
+        self._lines = text.splitlines()
+
+    def at(self, address: int) -> Mapping | None:
+        """The piece that an address lies in."""
+        index = bisect_right(self._lines, address, key=lambda line: int(line.partition("-")[0], 16)) - 1
+        if index < 0:
+            return None
+        extent, _, offset, _, _, *path = self._lines[index].split(maxsplit=5)
+        start, end = (int(bound, 16) for bound in extent.split("-"))
+        if address >= end:
+            return None
+        name = path[0] if path and path[0].startswith("/") else ""
+        return Mapping(start, end, int(offset, 16), name)
+
+
+class Process:
+    """A process whose identity has been checked, held by a pidfd so that its pid cannot change hands."""
+
+    def __init__(self, expected: Identity) -> None:
+        """Get hold of a process.
+
+        :raises VanishedError: if it is gone.
+        :raises IdentityError: if another one has its pid, or it is not as expected.
+        """
+        self.pid = expected.pid
+        self._expected = expected
+        self._memory: int | None = None
+        try:
+            self._pidfd = os.pidfd_open(self.pid)
+        except ProcessLookupError as error:
+            message = f"process {self.pid} is gone"
+            raise VanishedError(message) from error
+        try:
+            self.verify()
+        except IdentityError:
+            self.close()
+            raise
+
+    @property
+    def alive(self) -> bool:
+        """Whether it has not ended."""
+        poll = select.poll()
+        poll.register(self._pidfd, select.POLLIN)
+        return not poll.poll(0)
+
+    def verify(self) -> None:
+        """Compare the process with what was expected.
+
+        :raises VanishedError: if it is gone.
+        :raises IdentityError: naming the first thing that differs.
+        """
+        found = Identity.of(self.pid)
+        if not self.alive or found.start_ticks != self._expected.start_ticks:
+            message = f"process {self.pid} is gone"
+            raise VanishedError(message)
+        for field in fields(Identity):
+            is_, was = getattr(found, field.name), getattr(self._expected, field.name)
+            if is_ != was:
+                message = f"process {self.pid} is not the announced one: {field.name} is {is_}, not {was}"
+                raise IdentityError(message)
+
+    def maps(self) -> Maps:
+        """Its memory map; empty if it is gone."""
+        try:
+            return Maps(Path(f"/proc/{self.pid}/maps").read_text())
+        except OSError:
+            return Maps("")
+
+    def read_code(self, address: int) -> bytes:
+        """The bytes of the longest instruction that may begin at ``address``, within its mapping.
+
+        :raises CodeError: if there is no memory.
+        """
+        size = LONGEST_INSTRUCTION
+        if address % mmap.PAGESIZE + size > mmap.PAGESIZE:
+            mapping = self.maps().at(address)
+            size = min(size, mapping.end - address) if mapping is not None else size
+        try:
+            if self._memory is None:
+                self._memory = os.open(f"/proc/{self.pid}/mem", os.O_RDONLY | os.O_CLOEXEC)
+            return os.pread(self._memory, size, address)
+        except (OSError, OverflowError) as error:
+            message = f"process {self.pid} has no code at {address:#x}"
+            raise CodeError(message) from error
+
+    def close(self) -> None:
+        """Let go of the process."""
+        os.close(self._pidfd)
+        if self._memory is not None:
+            os.close(self._memory)
+
+    def __enter__(self) -> Process:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def threads(pid: int) -> list[int]:
+    """The threads of a process, in order; none if it is gone."""
+    try:
+        return sorted(int(name) for name in os.listdir(f"/proc/{pid}/task"))  # noqa: PTH208 - numbers
+    except OSError:
+        return []
+
+
+def thread_count(pid: int) -> int:
+    """How many threads a process has; 0 if it is gone. Much cheaper than listing them."""
+    try:
+        return os.stat(f"/proc/{pid}/task").st_nlink - 2  # noqa: PTH116
+    except OSError:
+        return 0
+
+
+def has_ended(tid: int) -> bool:
+    """Whether a thread is dead or gone, even if the rest of its process lives on."""
+    try:
+        stat = Path(f"/proc/{tid}/stat").read_text()
+    except OSError:
+        return True
+    return stat.rpartition(")")[2].split()[0] in "ZX"
+
+
+def tracer_of(tid: int) -> int:
+    """The thread that traces a thread; 0 if nobody does or it is gone."""
+    try:
+        status = Path(f"/proc/{tid}/status").read_text()
+    except OSError:
+        return 0
+    return int(status.partition("TracerPid:")[2].split(maxsplit=1)[0])

@@ -1,0 +1,142 @@
+"""Stopping a thread once it has used a given amount of its own processor time.
+
+A perf event counts the thread's task clock and raises SIGTRAP in it, which ptrace shows to us only.
+Source: perf_event_open(2), Linux include/uapi/linux/perf_event.h.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import fcntl
+import os
+import platform
+import struct
+from collections.abc import Callable
+from typing import Literal
+
+from injector.freeze import Thread, Tracees
+from injector.ptrace import GoneError, wait_until
+
+SHORTEST_NS = 10_000
+"""The kernel's timer takes no shorter period."""
+
+CHANCES_NS = (0, 20_000, 50_000, 100_000, 200_000, 400_000, 800_000)
+"""Thread time after the moment at which the trap is tried: the kernel drops it while in kernel mode."""
+
+GRACE_NS = 1_000_000
+"""Thread time after the moment at which a trap that has not come is not going to."""
+
+REMEDY = (
+    "set /proc/sys/kernel/perf_event_paranoid to 2 or lower, or give the injector CAP_PERFMON; "
+    "in a container: --cap-add PERFMON and a seccomp profile that allows perf_event_open"
+)
+
+_PERF_EVENT_OPEN = {"x86_64": 298, "aarch64": 241}
+_TYPE_SOFTWARE, _COUNT_TASK_CLOCK = 1, 1
+_ATTR_SIZE = 128  # PERF_ATTR_SIZE_VER7, the first with sig_data
+_DISABLED, _EXCLUDE_KERNEL, _EXCLUDE_HV = 1 << 0, 1 << 5, 1 << 6
+_REMOVE_ON_EXEC, _SIGTRAP = 1 << 36, 1 << 37
+_FLAG_CLOEXEC = 8
+_IOC_REFRESH, _IOC_PERIOD = 0x2402, 0x40082404
+
+_libc = ctypes.CDLL(None, use_errno=True)
+
+
+class TriggerError(Exception):
+    """The kernel gives us no timer on the thread: one line that says why and what to do."""
+
+
+class ThreadTimer:
+    """A trap for a traced thread after ``cpu_ns`` of its own time from now, once.
+
+    Time in the kernel counts, but the trap strikes only in user mode. To be used within ``with``,
+    inside that of :class:`injector.freeze.Tracees`: the timer must be gone before the thread is untraced.
+    """
+
+    def __init__(self, thread: Thread, cpu_ns: int) -> None:
+        """Start it.
+
+        :raises TriggerError: if the kernel refuses.
+        :raises GoneError: if the thread has ended.
+        """
+        self._moment_ns = max(cpu_ns, SHORTEST_NS)
+        self._insisted = False
+        self._descriptors: list[int] = []
+        thread.timed = True
+        try:
+            for chance_ns in CHANCES_NS:
+                descriptor = _perf_event_open(thread.tid, self._moment_ns + chance_ns)
+                self._descriptors.append(descriptor)
+                # Enables it for one overflow, after which the kernel disables it.
+                fcntl.ioctl(descriptor, _IOC_REFRESH, 1)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def spent_ns(self) -> int:
+        """Thread time since the start, in the kernel too."""
+        return int.from_bytes(os.read(self._descriptors[0], 8), "little")
+
+    def insist(self) -> None:
+        """Once no chance is left, have every 10 us of thread time tried until the trap strikes."""
+        if not self._insisted and self.spent_ns > self._moment_ns + GRACE_NS:
+            self._insisted = True
+            fcntl.ioctl(self._descriptors[0], _IOC_PERIOD, struct.pack("=Q", SHORTEST_NS))
+
+    def close(self) -> None:
+        """Take it away, whether it struck or not; a trap may still be under way."""
+        for descriptor in self._descriptors:
+            os.close(descriptor)
+
+    def __enter__(self) -> ThreadTimer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _perf_event_open(tid: int, period_ns: int) -> int:
+    flags = _DISABLED | _EXCLUDE_KERNEL | _EXCLUDE_HV | _REMOVE_ON_EXEC | _SIGTRAP
+    head = struct.pack("=IIQQQQQ", _TYPE_SOFTWARE, _ATTR_SIZE, _COUNT_TASK_CLOCK, period_ns, 0, 0, flags)
+    buffer = ctypes.create_string_buffer(head, _ATTR_SIZE)
+    descriptor = int(
+        _libc.syscall(
+            _PERF_EVENT_OPEN[platform.machine()], buffer, tid, -1, -1, ctypes.c_ulong(_FLAG_CLOEXEC)
+        )
+    )
+    if descriptor >= 0:
+        return descriptor
+    number = ctypes.get_errno()
+    if number == errno.ESRCH:
+        message = f"thread {tid} has ended"
+        raise GoneError(message)
+    remedy = {
+        errno.EACCES: REMEDY,
+        errno.EPERM: REMEDY,
+        errno.ENOSYS: "perf events are not compiled into this kernel",
+        errno.EINVAL: "traps by perf events need Linux 5.13 or newer",
+        errno.E2BIG: "traps by perf events need Linux 5.13 or newer",
+    }.get(number, "")
+    message = f"no timer on thread {tid}: {os.strerror(number)}" + (f"; {remedy}" if remedy else "")
+    raise TriggerError(message)
+
+
+def await_trap(
+    tracees: Tracees, thread: Thread, timer: ThreadTimer, finished: Callable[[], bool], limit_s: float
+) -> Literal["trapped", "finished", "gone", "late"]:
+    """Let everybody run until the timer's trap, the thread's death, or the caller says that it is over."""
+
+    def look() -> Literal["trapped", "finished", "gone"] | None:
+        tracees.service()
+        if thread.tid not in tracees.threads:
+            return "gone"
+        if thread.report is not None and thread.report.kind == "timer":
+            return "trapped"
+        if finished() or (thread.report is not None and thread.report.kind == "gate"):
+            return "finished"
+        timer.insist()
+        return None
+
+    return wait_until(look, limit_s) or "late"

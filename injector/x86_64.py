@@ -1,0 +1,154 @@
+"""The registers of an x86-64 thread: general ones with their parts, and xmm, ymm and zmm.
+
+Source: Linux arch/x86/include/asm/user_64.h (struct user_regs_struct).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+from injector import xstate
+from injector.ptrace import NT_PRSTATUS, NT_X86_XSTATE, PtraceError, read_registers, write_registers
+from injector.registers import Registers, UnknownRegisterError
+
+_ORDER = (
+    *("r15", "r14", "r13", "r12", "rbp", "rbx", "r11", "r10", "r9", "r8"),
+    *("rax", "rcx", "rdx", "rsi", "rdi", "orig_rax", "rip", "cs", "eflags", "rsp", "ss"),
+    *("fs_base", "gs_base", "ds", "es", "fs", "gs"),
+)
+_OFFSETS = {name: 8 * index for index, name in enumerate(_ORDER)}
+_SIZE = 8 * len(_ORDER)
+_RESTARTS = (-512, -513, -514, -516)
+"""What the kernel leaves in rax of a system call that it will enter again (linux/errno.h)."""
+
+NO_SYSTEM_CALL = 2**64 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A general register or a part of one: ``width`` bits from bit ``shift`` of ``whole``."""
+
+    whole: str
+    shift: int
+    width: int
+
+
+def _parts() -> dict[str, Part]:
+    parts = {}
+    for letter in "abcd":
+        whole = f"r{letter}x"
+        parts[f"e{letter}x"] = Part(whole, 0, 32)
+        parts[f"{letter}x"] = Part(whole, 0, 16)
+        parts[f"{letter}l"] = Part(whole, 0, 8)
+        parts[f"{letter}h"] = Part(whole, 8, 8)
+    for name in ("si", "di", "bp", "sp"):
+        whole = f"r{name}"
+        parts[f"e{name}"] = Part(whole, 0, 32)
+        parts[name] = Part(whole, 0, 16)
+        parts[f"{name}l"] = Part(whole, 0, 8)
+    for number in range(8, 16):
+        whole = f"r{number}"
+        parts |= {
+            f"{whole}{suffix}": Part(whole, 0, width) for suffix, width in (("d", 32), ("w", 16), ("b", 8))
+        }
+    wholes = sorted({part.whole for part in parts.values()})
+    return parts | {whole: Part(whole, 0, 64) for whole in wholes}
+
+
+GENERAL = _parts()
+"""Every general register and part by name."""
+
+VECTOR = {
+    f"{kind}mm{number}": (number, size)
+    for kind, size in (("x", 16), ("y", 32), ("z", 64))
+    for number in range(32)
+}
+"""Number and size in bytes of every vector register by name; a machine may have fewer."""
+
+
+class X8664Registers(Registers):
+    """The registers of a standing x86-64 thread."""
+
+    def __init__(self, tid: int) -> None:
+        """Read them.
+
+        :raises PtraceError: if the thread runs 32-bit code.
+        """
+        self._tid = tid
+        self._general = read_registers(tid, NT_PRSTATUS, _SIZE)
+        if len(self._general) != _SIZE:
+            message = f"thread {tid} belongs to a 32-bit process; only 64-bit ones can be injected into"
+            raise PtraceError(message)
+        (result,) = struct.unpack_from("<q", self._general, _OFFSETS["rax"])
+        self._in_system_call = self._word("orig_rax") < 2**63 and result in _RESTARTS
+        self._extended: bytearray | None = None
+        self._general_changed = self._extended_changed = False
+
+    def _word(self, name: str) -> int:
+        return int(struct.unpack_from("<Q", self._general, _OFFSETS[name])[0])
+
+    @property
+    def program_counter(self) -> int:
+        """Address of the instruction that comes next."""
+        return self._word("rip")
+
+    @property
+    def in_system_call(self) -> bool:
+        """Whether the thread was stopped within a system call that is to be entered again."""
+        return self._in_system_call
+
+    def get(self, name: str) -> int:
+        """The value of a register."""
+        part = GENERAL.get(name)
+        if part is not None:
+            return self._word(part.whole) >> part.shift & (1 << part.width) - 1
+        state = self._state()
+        content = b"".join(state[piece.offset : piece.offset + piece.size] for piece in self._pieces(name))
+        return int.from_bytes(content, "little")
+
+    def put(self, name: str, value: int) -> None:
+        """Change a register and nothing else."""
+        part = GENERAL.get(name)
+        if part is not None:
+            field = (1 << part.width) - 1 << part.shift
+            word = self._word(part.whole) & ~field | value << part.shift & field
+            struct.pack_into("<Q", self._general, _OFFSETS[part.whole], word)
+            self._general_changed = True
+            return
+        state = self._state()
+        pieces = self._pieces(name)
+        content = value.to_bytes(sum(piece.size for piece in pieces), "little")
+        for piece in pieces:
+            state[piece.offset : piece.offset + piece.size] = content[: piece.size]
+            content = content[piece.size :]
+            # A component that is not marked as in use would be reset by the kernel.
+            state[xstate.XSTATE_BV_AT] |= 1 << piece.component
+        self._extended_changed = True
+
+    def commit(self) -> None:
+        """Write the changes to the thread."""
+        if self._general_changed:
+            if not self._in_system_call:
+                # The kernel must not take a flipped rax for a request to enter a system call again.
+                struct.pack_into("<Q", self._general, _OFFSETS["orig_rax"], NO_SYSTEM_CALL)
+            write_registers(self._tid, NT_PRSTATUS, self._general)
+        if self._extended_changed:
+            write_registers(self._tid, NT_X86_XSTATE, self._state())
+        self._general_changed = self._extended_changed = False
+
+    def _state(self) -> bytearray:
+        if self._extended is None:
+            self._extended = read_registers(self._tid, NT_X86_XSTATE, xstate.LARGEST)
+        return self._extended
+
+    def _pieces(self, name: str) -> list[xstate.Piece]:
+        found = VECTOR.get(name)
+        if found is not None:
+            state = self._state()
+            enabled = int.from_bytes(state[xstate.ENABLED_AT : xstate.ENABLED_AT + 8], "little")
+            pieces = list(xstate.pieces(*found))
+            if all(enabled >> piece.component & 1 for piece in pieces):
+                return pieces
+        message = f"thread {self._tid} has no register {name!r}"
+        raise UnknownRegisterError(message)

@@ -1,0 +1,79 @@
+"""Where the vector registers lie in XSAVE's standard format, which ptrace uses.
+
+Offsets differ between makers (AMD has no MPX, so its AVX-512 state lies lower), so the processor is
+asked: CPUID leaf 0xD. Source: Intel SDM volume 1, chapter 13; Linux Documentation/arch/x86/xstate.rst.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import mmap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+
+SSE, AVX, ZMM_HIGH, HIGH_ZMM = 1, 2, 6, 7
+"""State components: xmm0-15, upper halves of ymm0-15, of zmm0-15, and zmm16-31 whole."""
+
+ENABLED_AT, XSTATE_BV_AT = 464, 512
+"""Offsets of XCR0 (put there by the kernel) and of the mask of components that are not in initial state."""
+
+LARGEST = 16384
+"""Bytes, enough for every component there is (AMX tiles: 8 KiB)."""
+
+_XMM_AT = 160
+_CPUID_LEAF = 0xD
+_CPUID_CODE = bytes.fromhex(
+    "53"  # push rbx
+    "4989d0"  # mov r8, rdx
+    "89f8"  # mov eax, edi
+    "89f1"  # mov ecx, esi
+    "0fa2"  # cpuid
+    "418900"  # mov [r8], eax
+    "41895804"  # mov [r8+4], ebx
+    "41894808"  # mov [r8+8], ecx
+    "4189500c"  # mov [r8+12], edx
+    "5b"  # pop rbx
+    "c3"  # ret
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Consecutive bytes of a vector register in the buffer."""
+
+    component: int
+    offset: int
+    size: int
+
+
+def cpuid(leaf: int, subleaf: int) -> tuple[int, int, int, int]:
+    """eax, ebx, ecx and edx of CPUID, run as machine code: Python has no other way to it."""
+    result = (ctypes.c_uint32 * 4)()
+    page = mmap.mmap(-1, mmap.PAGESIZE, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC)
+    page.write(_CPUID_CODE)
+    anchor = ctypes.c_char.from_buffer(page)
+    ctypes.CFUNCTYPE(None, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_void_p)(ctypes.addressof(anchor))(
+        leaf, subleaf, ctypes.addressof(result)
+    )
+    del anchor
+    page.close()
+    return result[0], result[1], result[2], result[3]
+
+
+@cache
+def offset_of(component: int) -> int:
+    """Where a component lies in the standard format (CPUID.0xD.component: EBX)."""
+    return cpuid(_CPUID_LEAF, component)[1]
+
+
+def pieces(number: int, size: int) -> Iterator[Piece]:
+    """The pieces of vector register ``number``, ``size`` bytes wide (16, 32 or 64), lowest first."""
+    if number >= 16:
+        yield Piece(HIGH_ZMM, offset_of(HIGH_ZMM) + 64 * (number - 16), size)
+        return
+    yield Piece(SSE, _XMM_AT + 16 * number, 16)
+    if size >= 32:
+        yield Piece(AVX, offset_of(AVX) + 16 * number, 16)
+    if size >= 64:
+        yield Piece(ZMM_HIGH, offset_of(ZMM_HIGH) + 32 * number, 32)

@@ -1,0 +1,42 @@
+"""An injector that gets as far as it is told and then waits to be killed: ``doomed STAGE PID``."""
+
+import signal
+import sys
+import threading
+
+from injector.freeze import Tracees
+from injector.inject import stand, step
+from injector.process import Identity, Process
+from injector.trigger import ThreadTimer, await_trap
+
+PERIOD_NS = 10_000_000
+
+
+def main(stage: str, pid: int) -> None:
+    # A sidecar has other threads, which outlive the tracing one when it is killed.
+    threading.Thread(target=threading.Event().wait, daemon=True).start()
+    with Process(Identity.of(pid)) as process, Tracees() as tracees:
+        tracees.seize([pid])
+        thread = tracees.threads[pid]
+        with ThreadTimer(thread, PERIOD_NS) as timer:
+            if stage == "timed":
+                wait_for_the_end()
+            assert await_trap(tracees, thread, timer, lambda: False, 30) == "trapped"
+        if stage == "trapped":
+            wait_for_the_end()
+        tracees.stop_all()
+        if stage == "standing":
+            wait_for_the_end()
+        _, instruction = stand(thread, process)
+        step(tracees, thread, instruction)
+        tracees.stop_all()
+        wait_for_the_end()
+
+
+def wait_for_the_end() -> None:
+    print("here", flush=True)  # noqa: T201
+    signal.pause()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]))
