@@ -28,7 +28,12 @@ from dashboard import tables
 from dashboard.campaigns.local import Finished, fly_all
 from dashboard.campaigns.spec import CampaignSpec, load_campaign, runs
 from dashboard.campaigns.summary import summarise
+from dashboard.commands.bench import bench
+from dashboard.commands.options import as_json
+from dashboard.commands.redundancy import redundancy
+from dashboard.commands.world import world
 from deploy.check import BadSpecError, check, one_line
+from deploy.definitions import inlined
 from deploy.doctor import examine
 from deploy.forkserver import ForkServer, ForkServerError
 from deploy.pairing import NothingToInjectError, Pairs
@@ -36,7 +41,6 @@ from deploy.supervisor import InfrastructureError
 from services.bus.mission import FaultSpec, MissionSpec
 
 messages = Console(stderr=True)
-as_json = click.option("--json", "as_json", is_flag=True, help="One JSON object per line on standard output.")
 
 as_picture = click.option(
     "--svg", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Also draw the table."
@@ -51,24 +55,27 @@ def zenfi() -> None:
 
 
 @zenfi.command()
-@click.option("--world", default="sparse", show_default=True, help="World to fly in.")
+@click.option("--world", default="sparse", show_default=True, metavar="NAME|FILE.toml", help="Where to fly.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
+@click.option("--airframe", default="airsim", show_default=True, metavar="NAME|FILE.toml", help="What flies.")
 @click.option("--planner", default="rrt_star", show_default=True, help="rrt, rrt_connect or rrt_star.")
-@click.option("--platform", default="i9-9940x", show_default=True, help="Computer whose latencies apply.")
+@click.option(
+    "--platform",
+    default="i9-9940x",
+    show_default=True,
+    metavar="NAME|FILE.toml",
+    help="Computer whose latencies apply.",
+)
+@click.option("--profile", default="fast", show_default=True, help="Set of parameters: fast or paper.")
+@click.option("--energy", default="airframe", show_default=True, help="airframe, regression or momentum.")
 @click.option("--fault", metavar="LEVEL:KERNEL", help="Flip one bit, e.g. instruction:rrt_star.")
 @click.option("--fault-seed", type=int, default=0, show_default=True, help="Seed of the fault.")
 @as_json
-def fly(
-    world: str, seed: int, planner: str, platform: str, fault: str | None, fault_seed: int, as_json: bool
-) -> None:
+def fly(fault: str | None, fault_seed: int, as_json: bool, **fields: Any) -> None:
     """Fly one mission; with --fault, its golden twin first."""
-    spec = MissionSpec(
-        world=world,
-        seed=seed,
-        planner=planner,
-        platform=platform,
-        fault=None if fault is None else _fault(fault, fault_seed),
-    )
+    if fault is not None:
+        fields["fault"] = _fault(fault, fault_seed)
+    spec = MissionSpec.model_validate(inlined(fields))
     check(spec)
     server = ForkServer()
     try:
@@ -87,6 +94,11 @@ def _fault(text: str, seed: int) -> FaultSpec:
         message = f"--fault {text!r}: expected LEVEL:KERNEL, e.g. instruction:rrt_star"
         raise BadSpecError(message)
     return FaultSpec.model_validate({"level": level, "target": target, "seed": seed})
+
+
+zenfi.add_command(world)
+zenfi.add_command(bench)
+zenfi.add_command(redundancy)
 
 
 @zenfi.group()

@@ -16,7 +16,7 @@ NODE_RESULTS = ("benign", "sdc", "crash", "hang")
 def outcome(one: Outcome) -> Table:
     """One flight as a table of names and values, its golden twin beside it."""
     table = Table(
-        title=f"{one.spec.world}, seed {one.spec.seed}: {one.result}", show_header=one.golden is not None
+        title=f"{one.spec.world_name}, seed {one.spec.seed}: {one.result}", show_header=one.golden is not None
     )
     table.add_column("")
     table.add_column("this flight", justify="right")
@@ -27,6 +27,7 @@ def outcome(one: Outcome) -> Table:
         ("flight time", "s", "flight_time_s"),
         ("distance", "m", "distance_m"),
         ("energy", "kJ", "energy_kj"),
+        ("missions per charge", "", "missions_per_charge"),
         ("replans", "", "replans"),
         ("smallest clearance", "m", "min_clearance_m"),
     ):

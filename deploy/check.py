@@ -10,8 +10,8 @@ from deploy.platform import load_platform
 from injector.preflight import check as preflight
 from services.bus.mission import MissionSpec
 from services.kernels import KERNELS, PLANNERS
-from sim.airframe import AIRFRAMES
-from sim.world import WORLDS
+from sim.airframe import airframe
+from sim.world import make_world
 
 
 class BadSpecError(ValueError):
@@ -23,10 +23,10 @@ def check(spec: MissionSpec) -> None:
 
     :raises BadSpecError: naming the field and what would be right.
     """
-    _known("world", spec.world, WORLDS)
     _known("planner", spec.planner, PLANNERS)
-    _known("airframe", spec.airframe, AIRFRAMES)
     try:
+        make_world(spec.world, spec.seed)
+        airframe(spec.airframe)
         load_platform(spec.platform)
     except ValueError as error:
         raise BadSpecError(str(error)) from error
@@ -53,8 +53,10 @@ def _known(what: str, name: str, table: Iterable[str]) -> None:
 def one_line(error: ValidationError) -> str:
     """The first thing that is wrong, as ``field: what (value)``."""
     first = error.errors()[0]
-    where = ".".join(map(str, first["loc"])) or "specification"
+    # Which form a field has and which kind of world it is goes without saying.
+    where = ".".join(str(part) for part in first["loc"] if part != "definition") or "specification"
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     value = first.get("input")
     given = f", got {value!r}" if isinstance(value, (str, int, float)) else ""
-    return f"{where}: {first['msg']}{given}{more}"
+    what = first["msg"].removeprefix("Value error, ")
+    return f"{where}: {what}{given}{more}"

@@ -12,11 +12,12 @@ from deploy.scratch import SOCKET_PATH_LIMIT, mission_folder
 from injector.preflight import Finding
 from injector.preflight import check as injector_findings
 from services.bus.session import Meeting, open_session
+from sim.opengl import backend
 
 
 def examine() -> list[Finding]:
     """Every check, in the order in which a mission needs them."""
-    return [_python(), _processors(), _folder(), _bus(), *injector_findings()]
+    return [_python(), _processors(), _folder(), _bus(), _rgb(), *injector_findings()]
 
 
 def _python() -> Finding:
@@ -47,3 +48,10 @@ def _bus() -> Finding:
     return Finding(
         "Zenoh over Unix sockets", met, "check that eclipse-zenoh is the version that pip installed"
     )
+
+
+def _rgb() -> Finding:
+    """Never a failure: no flight needs it."""
+    found = backend()
+    line = "no RGB camera: no offscreen OpenGL" if found is None else f"RGB camera with MUJOCO_GL={found}"
+    return Finding(line, ok=True, remedy="")

@@ -160,7 +160,7 @@ class _Mission:
             one for one in self._server.stack.values() if self._spec.fault is not None or not one.with_fault
         ]
         self._expected = [process.name for process in processes]
-        self._latencies = dict(load_platform(self._spec.platform).latencies_ns())
+        self._latencies = load_platform(self._spec.platform).kernels
         for process in processes:
             self._supervisor.start(process, self._setup(process.name))
 
@@ -169,7 +169,7 @@ class _Mission:
             name=name,
             spec=self._spec,
             kernels=[kernel.name for kernel in KERNELS.values() if kernel.stage == name],
-            latencies_ns=self._latencies,
+            latencies=self._latencies,
             expected=self._expected,
         )
 

@@ -28,7 +28,7 @@ class Pairs:
 
     def __init__(self, server: ForkServer) -> None:
         self._server = server
-        self._twins: OrderedDict[MissionSpec, Flight] = OrderedDict()
+        self._twins: OrderedDict[str, Flight] = OrderedDict()
 
     def fly(self, spec: MissionSpec) -> Outcome:
         """The outcome of ``spec``; with a fault, compared with its golden twin.
@@ -44,11 +44,12 @@ class Pairs:
         return compare(fly(spec.model_copy(update={"fault": fault}), self._server), twin)
 
     def _golden(self, spec: MissionSpec) -> Flight:
-        if spec not in self._twins:
-            self._twins[spec] = fly(spec, self._server)
+        key = spec.model_dump_json()
+        if key not in self._twins:
+            self._twins[key] = fly(spec, self._server)
             if len(self._twins) > TWINS_KEPT:
                 self._twins.popitem(last=False)
-        return self._twins[spec]
+        return self._twins[key]
 
 
 def draw_trigger(fault: FaultSpec, golden: Outcome) -> Trigger:

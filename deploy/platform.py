@@ -3,56 +3,46 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from functools import cache
 from importlib.resources import files
 
-from pydantic import Field, ValidationError
-
-from services.bus.mission import Strict
+from services.bus.platform import PlatformDefinition
 from services.kernels import KERNELS
 
 
-class UnknownPlatformError(ValueError):
-    """No platform of that name is declared."""
-
-
-class Platform(Strict):
-    """A companion computer. ``latency_ms`` is by kernel."""
-
-    name: str
-    source: str
-    latency_ms: dict[str, float] = Field(min_length=1)
-
-    def latencies_ns(self) -> Mapping[str, int]:
-        """Virtual latency of every kernel of the table, in nanoseconds."""
-        return {kernel: round(self.latency_ms[kernel] * 1e6) for kernel in KERNELS}
+class BadPlatformError(ValueError):
+    """No platform of that name, or one that leaves out a kernel."""
 
 
 def platform_names() -> list[str]:
-    """The declared platforms, sorted."""
-    folder = files("deploy") / "platforms"
-    return sorted(
-        entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")
-    )
+    """The platforms that come along, sorted."""
+    names = (entry.name for entry in (files("deploy") / "platforms").iterdir())
+    return sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml"))
 
 
-def load_platform(name: str) -> Platform:
-    """The platform of that name.
-
-    :raises UnknownPlatformError: if there is none.
-    :raises ValueError: if its file is malformed or forgets a kernel.
-    """
-    if name not in platform_names():
-        message = f"unknown platform {name!r}; known: {', '.join(platform_names())}"
-        raise UnknownPlatformError(message)
+@cache
+def _named(name: str) -> PlatformDefinition:
     text = (files("deploy") / "platforms" / f"{name}.toml").read_text()
-    try:
-        platform = Platform.model_validate(tomllib.loads(text))
-    except (ValidationError, tomllib.TOMLDecodeError) as error:
-        message = f"platform {name}: {error}"
-        raise ValueError(message) from error
-    forgotten = [kernel for kernel in KERNELS if kernel not in platform.latency_ms]
-    if forgotten:
-        message = f"platform {name}: no latency for {', '.join(forgotten)}"
-        raise ValueError(message)
+    return PlatformDefinition.model_validate(tomllib.loads(text))
+
+
+def load_platform(asked: str | PlatformDefinition) -> PlatformDefinition:
+    """The platform of that name, or the definition itself, with a latency for every kernel.
+
+    :raises BadPlatformError: if there is no such name, or a kernel is missing or unknown.
+    """
+    if asked == "host":
+        message = "platform 'host' is this machine: measure it with `zenfi bench kernels`, then give its file"
+        raise BadPlatformError(message)
+    if isinstance(asked, str) and asked not in platform_names():
+        message = f"unknown platform {asked!r}; known: {', '.join(platform_names())}"
+        raise BadPlatformError(message)
+    platform = _named(asked) if isinstance(asked, str) else asked
+    missing = [kernel for kernel in KERNELS if kernel not in platform.kernels]
+    unknown = [kernel for kernel in platform.kernels if kernel not in KERNELS]
+    if missing or unknown:
+        message = f"platform {platform.name}: " + (
+            f"no latency for {', '.join(missing)}" if missing else f"unknown kernel {', '.join(unknown)}"
+        )
+        raise BadPlatformError(message)
     return platform

@@ -83,7 +83,11 @@ class Member:
             messaging_s=int(page["messaging_wall_ns"]) / 1e9,
             waiting_s=int(page["waiting_wall_ns"]) / 1e9,
             kernels={
-                name: KernelUse(invocations=int(page["invocations"][i]), cpu_ns=int(page["cpu_ns"][i]))
+                name: KernelUse(
+                    invocations=int(page["invocations"][i]),
+                    cpu_ns=int(page["cpu_ns"][i]),
+                    cpu_squares_ns2=float(page["cpu_squares_ns2"][i]),
+                )
                 for i, name in enumerate(self.kernels)
                 if page["invocations"][i]
             },

@@ -1,14 +1,16 @@
-"""Airframes: what a vehicle weighs, measures, lifts and stores.
+"""Airframes: what follows from a definition, and the ones that come along (``sim/airframes``).
 
 Body frame: x forward, y left, z up, origin in the centre of mass.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import tomllib
+from functools import cache
+from importlib.resources import files
 from math import pi, sqrt
-from types import MappingProxyType
+
+from services.bus.airframe import AirframeDefinition
 
 GRAVITY_M_S2 = 9.81
 
@@ -21,35 +23,16 @@ ROTORS = ((1.0, 1.0, -1.0), (-1.0, 1.0, 1.0), (-1.0, -1.0, -1.0), (1.0, -1.0, 1.
 Front left, rear left, rear right, front right; neighbours turn in opposite directions.
 """
 
+LEAST_THRUST_TO_WEIGHT = 1.2
+"""Below it the flight controller could neither climb nor steer."""
 
-class UnknownAirframeError(ValueError):
-    """An airframe was asked for by a name that is not in ``AIRFRAMES``."""
+
+class BadAirframeError(ValueError):
+    """No airframe of that name, or one that could not fly."""
 
 
-@dataclass(frozen=True, slots=True)
-class Airframe:
-    """A quadrotor in X.
-
-    ``arm_m`` reaches from the centre to a rotor's axis. Inertia is that of a solid box with four
-    point masses (the motors, ``motor_kg`` each, part of ``mass_kg``) at the ends of the arms.
-    ``drag_n_s_m`` is linear drag, newtons per m/s. The hull, which is what touches things, is an
-    upright cylinder around the centre.
-    """
-
-    name: str
-    mass_kg: float
-    arm_m: float
-    rotor_diameter_m: float
-    thrust_coefficient: float
-    power_coefficient: float
-    max_rpm: float
-    rotor_time_constant_s: float
-    body_box_m: tuple[float, float, float]
-    motor_kg: float
-    drag_n_s_m: float
-    hull_height_m: float
-    battery_v: float
-    battery_ah: float
+class Airframe(AirframeDefinition):
+    """A definition with what follows from it."""
 
     @property
     def max_thrust_n(self) -> float:
@@ -99,40 +82,41 @@ class Airframe:
         """Energy of a full charge."""
         return self.battery_v * self.battery_ah * 3.6
 
+    @property
+    def disc_area_m2(self) -> float:
+        """Area that one rotor sweeps."""
+        return pi * (self.rotor_diameter_m / 2) ** 2
 
-def airframe(name: str) -> Airframe:
-    """The airframe of that name.
 
-    :raises UnknownAirframeError: if ``AIRFRAMES`` has no such name.
+def airframe_names() -> list[str]:
+    """The airframes that come along, sorted."""
+    names = (entry.name for entry in (files("sim") / "airframes").iterdir())
+    return sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml"))
+
+
+@cache
+def airframe(asked: str | AirframeDefinition) -> Airframe:
+    """The airframe of that name, or of that definition.
+
+    :raises BadAirframeError: if there is no such name, or if the vehicle could not fly.
     """
-    if name not in AIRFRAMES:
-        message = f"unknown airframe {name!r}; known: {', '.join(sorted(AIRFRAMES))}"
-        raise UnknownAirframeError(message)
-    return AIRFRAMES[name]
-
-
-_TABLE = (
-    # Mass, arm, rotors and battery: facts page, "Energy and airframes". The rest is assumed:
-    # - rotor lag 30 ms, within the 20-50 ms of motors with 13 inch propellers (AirSim filters its
-    #   rotors with 5 ms, which no real one of that size reaches);
-    # - body box and motor weight in proportion to AirSim's frames of 2 kg (box 0.20 m, motor 0.1 kg);
-    # - drag 0.25 N s/m per kg, rotor drag of small quadrotors at the paper's speeds.
-    Airframe(
-        name="airsim",
-        mass_kg=2.431,
-        arm_m=0.325,
-        rotor_diameter_m=0.3302,
-        thrust_coefficient=0.027122,
-        power_coefficient=0.033526,
-        max_rpm=8750.0,
-        rotor_time_constant_s=0.03,
-        body_box_m=(0.20, 0.20, 0.10),
-        motor_kg=0.1,
-        drag_n_s_m=0.6,
-        hull_height_m=0.2,
-        battery_v=11.1,
-        battery_ah=5.5,
-    ),
-)
-
-AIRFRAMES: Mapping[str, Airframe] = MappingProxyType({entry.name: entry for entry in _TABLE})
+    if isinstance(asked, str):
+        if asked not in airframe_names():
+            message = f"unknown airframe {asked!r}; known: {', '.join(airframe_names())}"
+            raise BadAirframeError(message)
+        text = (files("sim") / "airframes" / f"{asked}.toml").read_text()
+        made = Airframe.model_validate(tomllib.loads(text))
+    else:
+        made = Airframe.model_validate(asked.model_dump())
+    if made.thrust_to_weight < LEAST_THRUST_TO_WEIGHT:
+        message = (
+            f"airframe {made.name}: lift of {made.thrust_to_weight:.2f} times the weight"
+            f" (max_rpm {made.max_rpm:g}), needs {LEAST_THRUST_TO_WEIGHT}"
+        )
+        raise BadAirframeError(message)
+    if made.motor_kg * len(ROTORS) >= made.mass_kg:
+        message = (
+            f"airframe {made.name}: motor_kg {made.motor_kg:g}: four are all of mass_kg {made.mass_kg:g}"
+        )
+        raise BadAirframeError(message)
+    return made

@@ -38,6 +38,7 @@ MIN_COLLECTIVE, MAX_COLLECTIVE = 0.15, 0.92
 # bandwidth of the rotors (33 rad/s at a lag of 30 ms).
 VELOCITY_P = 2.4  # 1/s
 VELOCITY_I = 0.8  # 1/s^2
+CLIMB_I = 2.0  # 1/s^2; rotors damp a climb more than anything damps level flight
 MAX_INTEGRAL_M_S2 = 2.5
 ATTITUDE_P = 6.0  # 1/s
 YAW_P = 2.0  # 1/s
@@ -155,7 +156,7 @@ def thrust_vector(plant: Plant, memory: Memory, twist: Floats) -> Vector:
     wanted = GRAVITY_M_S2 + VELOCITY_P * error_z + integral[2]
     up = min(max(wanted, plant.min_lift_m_s2), most * cos(CLIMB_TILT_RAD))
     if up == wanted:
-        integral[2] = clamp(integral[2] + gain * error_z, MAX_INTEGRAL_M_S2)
+        integral[2] = clamp(integral[2] + CLIMB_I * plant.period_s * error_z, MAX_INTEGRAL_M_S2)
 
     x = VELOCITY_P * error_x + integral[0]
     y = VELOCITY_P * error_y + integral[1]

@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from services.bus.equipment import Camera
+from services.bus.rng import generator
 from sim.vehicle import Vehicle
 
 
@@ -15,30 +17,29 @@ class DepthCamera:
     """A pinhole depth camera in the centre of the body, looking forward.
 
     Pixel (row v, column u) looks along ((u - cx) / fx, (v - cy) / fy, 1) of the optical frame
-    (x right, y down, z forward: REP 103), so rows run downwards and columns to the right. The default
-    keeps the authors' field of view and aspect ratio at a quarter of their 256 x 144 pixels a side
-    (facts page, "depth camera"): neighbouring rays are 0.2 m apart at their mapping range of 7 m.
+    (x right, y down, z forward: REP 103), so rows run downwards and columns to the right.
     """
 
-    def __init__(
-        self, width: int = 64, height: int = 36, fov_rad: float = radians(90.0), range_m: float = 20.0
-    ) -> None:
-        self.width, self.height, self.range_m = width, height, range_m
-        self.fx = self.fy = width / 2 / tan(fov_rad / 2)
-        self.cx, self.cy = (width - 1) / 2, (height - 1) / 2
-        u, v = np.meshgrid(np.arange(width), np.arange(height))
+    def __init__(self, stated: Camera, seed: int) -> None:
+        self.width, self.height, self.range_m = stated.width, stated.height, stated.range_m
+        self.fx = self.fy = self.width / 2 / tan(radians(stated.fov_deg) / 2)
+        self.cx, self.cy = (self.width - 1) / 2, (self.height - 1) / 2
+        self._noise_per_m, self._quantisation_m = stated.noise_per_m, stated.quantisation_m
+        self._seed = seed
+        u, v = np.meshgrid(np.arange(self.width), np.arange(self.height))
         # In the body frame, with a forward part of one: distances along these rays are depths.
         self._rays = np.stack(
             [np.ones(u.shape), -(u - self.cx) / self.fx, -(v - self.cy) / self.fy], axis=-1
         ).reshape(-1, 3)
-        self._farthest_m = range_m * float(np.linalg.norm(self._rays, axis=1).max())
-        self._geom = np.empty(width * height, np.int32)
-        self._depth = np.empty(width * height)
+        self._farthest_m = self.range_m * float(np.linalg.norm(self._rays, axis=1).max())
+        self._geom = np.empty(u.size, np.int32)
+        self._depth = np.empty(u.size)
 
     def render(self, vehicle: Vehicle) -> NDArray[np.float32]:
         """Depth along the optical axis in m, float32 (height, width); obstacles and ground are seen.
 
-        As REP 118 has it, +inf means nothing within range.
+        As REP 118 has it, +inf means nothing within range. The noise is that of the vehicle's time: the
+        same moment of the same flight gives the same image.
         """
         mujoco.mj_multiRay(
             vehicle.model,
@@ -54,6 +55,13 @@ class DepthCamera:
             len(self._depth),
             self._farthest_m,
         )
-        missed = (self._geom < 0) | (self._depth > self.range_m)
-        image = np.where(missed, np.inf, self._depth).astype(np.float32)
+        depth = self._depth
+        missed = self._geom < 0
+        if self._noise_per_m:
+            rng = generator(self._seed, "depth noise", vehicle.steps)
+            depth = depth + rng.standard_normal(len(depth), np.float32) * (self._noise_per_m * depth**2)
+        if self._quantisation_m:
+            depth = np.rint(depth / self._quantisation_m) * self._quantisation_m
+        missed |= (depth > self.range_m) | (depth <= 0.0)
+        image = np.where(missed, np.inf, depth).astype(np.float32)
         return image.reshape(self.height, self.width)

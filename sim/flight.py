@@ -6,13 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from services.bus.mission import MissionSpec
 from services.bus.outcome import MissionResult, QoF
 from services.bus.topics import TICK_NS
-from sim.airframe import Airframe
+from sim.airframe import airframe
+from sim.imu import ImuSamples, InertialUnit
+from sim.odometry import Drift
 from sim.qof import FlightMeter
 from sim.referee import judge
 from sim.vehicle import STEP_S, Floats, Vehicle
-from sim.world import World
+from sim.wind import Air
+from sim.world import make_world
 
 STEP_NS = round(STEP_S * 1e9)
 HOVER = np.zeros(4)
@@ -21,11 +25,15 @@ HOVER = np.zeros(4)
 class Flight:
     """A vehicle that holds its last command: it hovers before the first, and coasts when none follows."""
 
-    def __init__(self, world: World, airframe: Airframe, time_limit_s: float) -> None:
-        self.vehicle = Vehicle(world, airframe)
-        self._world = world
-        self._time_limit_s = time_limit_s
-        self._meter = FlightMeter(world, airframe)
+    def __init__(self, spec: MissionSpec) -> None:
+        frame = airframe(spec.airframe)
+        self.world = make_world(spec.world, spec.seed)
+        self.vehicle = Vehicle(self.world, frame, Air(spec.wind, spec.seed, STEP_S))
+        self.drift = Drift(spec.odometry, spec.seed, TICK_NS / 1e9)
+        self._imu = InertialUnit(spec.imu, spec.seed)
+        self._felt: list[ImuSamples] = []
+        self._time_limit_s = spec.limits.mission_time_s
+        self._meter = FlightMeter(self.world, frame, spec.energy)
         self._command: Floats = HOVER
 
     def advance(self, tick_ns: int, commands: Sequence[tuple[int, Floats]]) -> None:
@@ -33,6 +41,7 @@ class Flight:
 
         Each command (ready_ns, (4,)) holds from the next physics step on.
         """
+        self._felt = []
         steps_left = TICK_NS // STEP_NS
         for ready_ns, command in commands:
             passed = TICK_NS // STEP_NS - steps_left
@@ -41,16 +50,26 @@ class Flight:
             steps_left -= steps
             self._command = command
         self._fly(steps_left)
+        self.drift.advance()
 
     def _fly(self, steps: int) -> None:
         if steps and not self.vehicle.contact:
-            self._meter.add(self.vehicle.advance(self._command, steps))
+            track = self.vehicle.advance(self._command, steps)
+            self._meter.add(track)
+            self._felt.append(self._imu.sample(track))
+
+    @property
+    def felt(self) -> ImuSamples | None:
+        """What the IMU measured in the last tick; None before the first."""
+        if not self._felt:
+            return None
+        return ImuSamples(*(np.concatenate(parts) for parts in zip(*self._felt, strict=True)))
 
     def judge(self, *, no_path: bool) -> MissionResult | None:
         """The mission's result so far."""
         vehicle = self.vehicle
         return judge(
-            self._world.goal,
+            self.world.goal,
             self._time_limit_s,
             time_s=vehicle.time_s,
             position=vehicle.position,

@@ -6,43 +6,43 @@ import numpy as np
 
 from services.bus.horizon import NEVER_NS
 from services.bus.messages import Mission, TwistStamped, header
+from services.bus.mission import MissionSpec
 from services.bus.node import Node, NodeSetup
 from services.bus.ports import Input
 from services.bus.session import Meeting
 from services.bus.topics import TICK_NS
 from services.bus.vitals import Vitals
 from sim import telemetry
-from sim.airframe import AIRFRAMES
 from sim.camera import DepthCamera
 from sim.flight import Flight
 from sim.vehicle import Floats
-from sim.world import make_world
 
 
 def warm_up() -> None:
     """Compile the kernels before there is a flight."""
-    flight = Flight(make_world("sparse", 0), AIRFRAMES["airsim"], 1.0)
-    flight.advance(0, [(0, np.zeros(4))])
-    DepthCamera().render(flight.vehicle)
+    for energy in ("regression", "momentum"):
+        spec = MissionSpec.model_validate({"energy": energy})
+        flight = Flight(spec)
+        flight.advance(0, [(0, np.zeros(4))])
+        DepthCamera(spec.camera, 0).render(flight.vehicle)
 
 
 def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
     """Fly the mission tick by tick until the referee ends it."""
     spec = setup.spec
-    world = make_world(spec.world, spec.seed)
-    flight = Flight(world, AIRFRAMES[spec.airframe], spec.limits.mission_time_s)
-    camera = DepthCamera()
+    flight, camera = Flight(spec), DepthCamera(spec.camera, spec.seed)
     with Node(setup, meeting, vitals) as node:
         commands, plan = node.input("command"), node.input("trajectory")
         node.watch("perception")
         node.ready()
-        node.put("goal", telemetry.goal(header(0, "map"), world))
+        node.put("goal", telemetry.goal(header(0, "map"), flight.world))
         node.put("camera_info", telemetry.camera_info(header(0, "camera"), camera))
         exposed_ns = -1
         while True:
             now_ns = node.now_ns
-            node.put("odometry", telemetry.odometry(header(now_ns, "map"), flight.vehicle))
-            node.put("imu", telemetry.imu(header(now_ns, "body"), flight.vehicle))
+            node.put("odometry", telemetry.odometry(header(now_ns, "map"), flight.vehicle, flight.drift))
+            if (felt := flight.felt) is not None:
+                node.put("imu", telemetry.imu(header(now_ns, "body"), felt))
             # A frame that a newer one will have replaced when perception is free is not exposed.
             if now_ns + TICK_NS > node.busy_until("perception", exposed_ns):
                 node.put("depth", telemetry.depth_image(header(now_ns, "camera"), camera, flight.vehicle))

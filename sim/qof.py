@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from services.bus.outcome import QoF
 from sim.airframe import Airframe
-from sim.energy import power_w
+from sim.energy import PowerModel, momentum_w, power_model, regression_w
 from sim.world import World
 
 Floats = NDArray[np.float64]
@@ -35,27 +35,32 @@ class Hull(NamedTuple):
 class FlightMeter:
     """Adds up a flight from its tracks, in the order in which :meth:`Vehicle.advance` returns them."""
 
-    def __init__(self, world: World, airframe: Airframe) -> None:
+    def __init__(self, world: World, airframe: Airframe, energy: str = "airframe") -> None:
         self._obstacles = world.obstacles
+        self._battery_j = airframe.battery_kj * 1000
+        self._power = power_model(airframe, energy)
         self._hull = Hull(airframe.hull_radius_m, airframe.hull_height_m / 2)
         self._time_s = 0.0
         self._totals = Totals(0.0, 0.0, hull_clearance(world.start, world.obstacles, self._hull))
 
     def add(self, track: Floats) -> None:
-        """Takes up the next stretch: ``track`` is (n, 7), time in s, position in m, velocity in m/s.
+        """Takes up the next stretch: ``track`` (n, 14) as :meth:`Vehicle.advance` returns it.
 
         Its first row is the last one of the stretch before.
         """
-        self._totals = measure(self._totals, track, self._obstacles, self._hull)
+        self._totals = measure(self._totals, track, self._obstacles, self._hull, self._power)
         self._time_s = float(track[-1, 0])
 
     def qof(self, *, success: bool, replans: int) -> QoF:
         """Quality of the flight so far; the minimum clearance is infinite without obstacles."""
+        energy_j = self._totals.energy_j
         return QoF(
             success=success,
             flight_time_s=self._time_s,
             distance_m=self._totals.distance_m,
-            energy_kj=self._totals.energy_j / 1000,
+            energy_kj=energy_j / 1000,
+            state_of_charge=max(1.0 - energy_j / self._battery_j, 0.0),
+            missions_per_charge=self._battery_j / energy_j if success else 0.0,
             replans=replans,
             min_clearance_m=self._totals.min_clearance_m,
         )
@@ -79,8 +84,8 @@ def hull_clearance(position: Floats, obstacles: Floats, hull: Hull) -> float:
 
 
 @njit(cache=True)
-def measure(before: Totals, track: Floats, obstacles: Floats, hull: Hull) -> Totals:
-    """``before`` and a track (n, 7) together; arguments as in :meth:`FlightMeter.add`.
+def measure(before: Totals, track: Floats, obstacles: Floats, hull: Hull, power: PowerModel) -> Totals:
+    """``before`` and a track (n, 14) together; arguments as in :meth:`FlightMeter.add`.
 
     Between two rows the vehicle moves with their mean velocity and the acceleration that leads from
     one velocity to the other.
@@ -94,11 +99,16 @@ def measure(before: Totals, track: Floats, obstacles: Floats, hull: Hull) -> Tot
         duration = new[0] - old[0]
         step_x, step_y, step_z = new[1] - old[1], new[2] - old[2], new[3] - old[3]
         distance += sqrt(step_x * step_x + step_y * step_y + step_z * step_z)
-        power = power_w(
-            hypot(new[4] + old[4], new[5] + old[5]) / 2,
-            hypot(new[4] - old[4], new[5] - old[5]) / duration,
-            (new[6] + old[6]) / 2,
+        velocity = ((new[4] + old[4]) / 2, (new[5] + old[5]) / 2, (new[6] + old[6]) / 2)
+        acceleration = (
+            (new[4] - old[4]) / duration,
+            (new[5] - old[5]) / duration,
             (new[6] - old[6]) / duration,
         )
-        energy += power * duration
+        if power.by_regression:
+            level, climb = hypot(velocity[0], velocity[1]), velocity[2]
+            watts = regression_w(level, hypot(acceleration[0], acceleration[1]), climb, acceleration[2])
+        else:
+            watts = momentum_w(power, velocity, acceleration)
+        energy += watts * duration
     return Totals(distance, energy, clearance)

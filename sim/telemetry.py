@@ -12,7 +12,7 @@ from services.bus.messages import (
     Goal,
     Header,
     Image,
-    Imu,
+    ImuBatch,
     Odometry,
     Pose,
     PoseWithCovariance,
@@ -21,16 +21,17 @@ from services.bus.messages import (
     TwistWithCovariance,
 )
 from sim.camera import DepthCamera
+from sim.imu import ImuSamples
+from sim.odometry import Drift
 from sim.vehicle import Vehicle
 from sim.world import World
 
 _EXACT = np.zeros(36)
-_EXACT_3 = np.zeros(9)
 
 
-def odometry(header: Header, vehicle: Vehicle) -> Odometry:
+def odometry(header: Header, vehicle: Vehicle, drift: Drift) -> Odometry:
     """Pose in the world; linear velocity in the world frame, angular velocity in the body frame."""
-    pose = Pose(position=point(vehicle.position), orientation=quaternion(vehicle.quaternion))
+    pose = Pose(position=point(vehicle.position + drift.offset), orientation=quaternion(vehicle.quaternion))
     twist = Twist(linear=vector(vehicle.velocity), angular=vector(vehicle.body_rates))
     return Odometry(
         header=header,
@@ -40,16 +41,13 @@ def odometry(header: Header, vehicle: Vehicle) -> Odometry:
     )
 
 
-def imu(header: Header, vehicle: Vehicle) -> Imu:
-    """Attitude, body rates and specific force of a perfect IMU in the centre of mass."""
-    return Imu(
+def imu(header: Header, samples: ImuSamples) -> Any:
+    """What the IMU measured in the tick that ends now."""
+    return ImuBatch(
         header=header,
-        orientation=quaternion(vehicle.quaternion),
-        orientation_covariance=_EXACT_3,
-        angular_velocity=vector(vehicle.body_rates),
-        angular_velocity_covariance=_EXACT_3,
-        linear_acceleration=vector(vehicle.specific_force),
-        linear_acceleration_covariance=_EXACT_3,
+        time_ns=samples.time_ns,
+        angular_velocity=samples.rates.ravel(),
+        linear_acceleration=samples.force.ravel(),
     )
 
 

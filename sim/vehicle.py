@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sim.airframe import GRAVITY_M_S2, ROTORS, Airframe
 from sim.autopilot import Autopilot
+from sim.wind import Air
 from sim.world import World
 
 Floats = NDArray[np.float64]
@@ -20,8 +21,7 @@ Floats = NDArray[np.float64]
 STEP_S = 0.004
 """Physics step and period of the flight controller: 250 Hz."""
 
-
-GRAVITY = np.array([0.0, 0.0, -GRAVITY_M_S2])
+TRACK_WIDTH = 14
 
 
 class PhysicsDivergedError(RuntimeError):
@@ -53,14 +53,16 @@ def mjcf(world: World, airframe: Airframe) -> str:
   <option timestep="{STEP_S}" integrator="Euler" gravity="0 0 {-GRAVITY_M_S2}">
     <flag autoreset="disable"/>
   </option>
+  <visual><global offwidth="1280" offheight="960"/></visual>
   <worldbody>
-    <geom name="ground" type="plane" size="0 0 1" contype="0" conaffinity="1"/>
+    <geom name="ground" type="plane" size="0 0 1" contype="0" conaffinity="1" rgba=".45 .55 .4 1"/>
 {boxes}
     <body name="hull">
       <freejoint/>
       <inertial pos="0 0 0" mass="{airframe.mass_kg!r}" diaginertia="{inertia}"/>
       <geom type="cylinder" size="{airframe.hull_radius_m!r} {airframe.hull_height_m / 2!r}"
-            contype="1" conaffinity="0"/>
+            contype="1" conaffinity="0" group="3"/>
+      <camera name="front" xyaxes="0 -1 0 0 0 1"/>
 {sites}
     </body>
   </worldbody>
@@ -74,22 +76,23 @@ def mjcf(world: World, airframe: Airframe) -> str:
 def _box(corners: Floats) -> str:
     centre = " ".join(repr(float(value)) for value in (corners[:3] + corners[3:]) / 2)
     half = " ".join(repr(float(value)) for value in (corners[3:] - corners[:3]) / 2)
-    return f'<geom type="box" pos="{centre}" size="{half}" contype="0" conaffinity="1"/>'
+    return f'<geom type="box" pos="{centre}" size="{half}" contype="0" conaffinity="1" rgba=".6 .45 .35 1"/>'
 
 
 class Vehicle:
     """A vehicle that starts in hover at the world's start, nose towards the goal.
 
     ``model`` and ``data`` are MuJoCo's and ``hull`` is the body's number there, for sensors to look
-    into. ``steps`` counts the physics steps
-    taken; ``contact_step`` is the one after which the hull first touched an obstacle or the ground,
-    None as long as it has not.
+    into. ``steps`` counts the physics steps taken; ``contact_step`` is the one after which the hull
+    first touched an obstacle or the ground, None as long as it has not. Without ``air`` there is no wind.
     """
 
-    def __init__(self, world: World, airframe: Airframe) -> None:
+    def __init__(self, world: World, airframe: Airframe, air: Air | None = None) -> None:
         self.model = mujoco.MjModel.from_xml_string(mjcf(world, airframe))
-        # The translational axes of a free joint are the world's, so this is drag along the velocity.
-        self.model.dof_damping[:3] = airframe.drag_n_s_m
+        # The translational axes of a free joint are the world's: heave drag acts along the vertical, from
+        # which the vehicle tilts by 30 degrees at most.
+        self._drag = np.array([airframe.level_drag_n_s_m] * 2 + [airframe.heave_drag_n_s_m])
+        self.model.dof_damping[:3] = self._drag
         self.data = mujoco.MjData(self.model)
         self.hull: int = self.model.body("hull").id
         self.steps = 0
@@ -97,7 +100,8 @@ class Vehicle:
         self._pose: Floats = self.data.qpos
         self._twist: Floats = self.data.qvel
         self._thrust: Floats = self.data.ctrl
-        self._last_velocity = np.zeros(3)
+        self._push: Floats = self.data.xfrc_applied[self.hull, :3]
+        self._air = air
 
         towards = world.goal - world.start
         yaw = atan2(towards[1], towards[0])
@@ -113,29 +117,30 @@ class Vehicle:
 
         ``command`` is (vx, vy, vz, yaw rate), world frame, m/s and rad/s; see
         :meth:`Autopilot.command` for what is done with impossible ones. The return value is the
-        flight's track (n_steps + 1, 7): time in s, position in m, velocity in m/s, first row the
-        state before the first step.
+        flight's track (n_steps + 1, 14), first row the state before the first step: time in s, position
+        in m and velocity in m/s (world frame), rates in rad/s (body frame), attitude (w, x, y, z).
 
         :raises PhysicsDivergedError: if the state is no longer finite.
         """
         model, data, autopilot = self.model, self.data, self._autopilot
-        pose, twist, thrust = self._pose, self._twist, self._thrust
-        track = np.empty((n_steps + 1, 7))
+        pose, twist, thrust, push = self._pose, self._twist, self._thrust, self._push
+        track = np.empty((n_steps + 1, TRACK_WIDTH))
         track[:, 0] = np.arange(self.steps, self.steps + n_steps + 1) * STEP_S
-        track[0, 1:4] = pose[:3]
-        track[0, 4:] = twist[:3]
-        position, velocity = pose[:3], twist[:3]
+        position, attitude = pose[:3], pose[3:]
+        track[0, 1:4], track[0, 4:10], track[0, 10:] = position, twist, attitude
+        # Drag is relative to the air: MuJoCo's damping has the vehicle's part, this is the wind's.
+        wind = self._drag * self._air.velocity(self.steps, n_steps) if self._air is not None else None
         autopilot.command(command)
-        for row in track[1:]:
-            self._last_velocity[:] = velocity
+        for step, row in enumerate(track[1:]):
+            if wind is not None:
+                push[:] = wind[step]
             autopilot.update(pose, twist, thrust)
             mujoco.mj_step(model, data)
             # Contacts are found where the step began.
             if data.ncon and self.contact_step is None:
                 self.contact_step = self.steps
             self.steps += 1
-            row[1:4] = position
-            row[4:] = velocity
+            row[1:4], row[4:10], row[10:] = position, twist, attitude
         if not np.isfinite(track).all():
             message = f"state not finite after {self.steps} steps"
             raise PhysicsDivergedError(message)
@@ -183,14 +188,3 @@ class Vehicle:
     def body_rates(self) -> Floats:
         """Body frame, rad/s (3,)."""
         return self._twist[3:].copy()
-
-    @property
-    def acceleration(self) -> Floats:
-        """Mean over the last physics step, world frame, m/s^2 (3,)."""
-        return (self._twist[:3] - self._last_velocity) / STEP_S
-
-    @property
-    def specific_force(self) -> Floats:
-        """What an accelerometer at the centre of mass reads, body frame, m/s^2 (3,)."""
-        force: Floats = self.rotation.T @ (self.acceleration - GRAVITY)
-        return force

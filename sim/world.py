@@ -1,62 +1,38 @@
-"""Worlds: bounds, obstacles, start and goal of a mission, made from a name and a seed.
+"""Worlds: bounds, obstacles, start and goal of a mission, made from a definition and a seed.
 
 World frame: x east, y north, z up, metres.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import tomllib
 from dataclasses import dataclass
-from itertools import count
-from types import MappingProxyType
+from functools import cache
+from importlib.resources import files
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from services.bus.rng import generator
+from services.bus.world import DRAWN_TOP_M, BoxWorld, ClusteredWorld, GridWorld, Point, WorldDefinition
 
-AREA_M = 100.0
-"""Side of the square area, centred on the origin: ten cells by ten."""
-
-CELL_M = 10.0
-"""Side of a grid cell, which holds one obstacle or none (paper, section VI)."""
-
-CEILING_M = 10.0
-"""Flight ceiling: the planner's upper limit (facts page, "planner")."""
-
-OBSTACLE_TOP_M = 20.0
-"""Stands for the paper's unbounded height: twice the flight ceiling."""
-
-START_M = (-25.0, 5.0, 2.0)
-GOAL_M = (25.0, 5.0, 2.0)
-"""50 m apart (facts page, "mission"), along the middle of a row of cells: on the border between
-two rows obstacles would at most graze the straight line."""
+Floats = NDArray[np.float64]
 
 KEEP_OUT_M = 3.0
-"""No obstacle stands closer to start or goal: the safety body and as much again."""
+"""No drawn obstacle stands closer to start or goal: the safety body and as much again."""
 
 SAFETY_RADIUS_M = 1.5
 """Radius of the body that the collision check keeps free (facts page, "collision check")."""
 
+ATTEMPTS = 1000
+"""Draws after which a world that leaves the straight way free is given up."""
 
-class UnknownWorldError(ValueError):
-    """A world was asked for by a name that is not in ``WORLDS``."""
-
-
-@dataclass(frozen=True, slots=True)
-class GridWorld:
-    """Parameters of the paper's generator: obstacles scattered over the cells of a grid.
-
-    ``density`` is the probability that a cell holds an obstacle, ``obstacle_m`` the side of its
-    square cross-section.
-    """
-
-    density: float
-    obstacle_m: float
+DEFINITION: TypeAdapter[WorldDefinition] = TypeAdapter(WorldDefinition)
 
 
-WORLDS: Mapping[str, GridWorld] = MappingProxyType({"sparse": GridWorld(density=0.05, obstacle_m=3.0)})
-"""Every world that a mission can name."""
+class BadWorldError(ValueError):
+    """No world of that name, or a definition that no world can be made of."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,54 +45,147 @@ class World:
 
     name: str
     seed: int
-    bounds: NDArray[np.float64]
-    obstacles: NDArray[np.float64]
-    start: NDArray[np.float64]
-    goal: NDArray[np.float64]
+    bounds: Floats
+    obstacles: Floats
+    start: Floats
+    goal: Floats
 
     def __post_init__(self) -> None:
         for array in (self.bounds, self.obstacles, self.start, self.goal):
             array.setflags(write=False)
 
 
-def make_world(name: str, seed: int) -> World:
-    """The world ``name`` as drawn from ``seed``: the same arguments give the same bytes.
+def world_names() -> list[str]:
+    """The worlds that come along, sorted."""
+    names = (entry.name for entry in (files("sim") / "worlds").iterdir())
+    return sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml"))
+
+
+@cache
+def definition(name: str) -> WorldDefinition:
+    """The definition of that name.
+
+    :raises BadWorldError: if there is none.
+    """
+    if name not in world_names():
+        message = f"unknown world {name!r}; known: {', '.join(world_names())}"
+        raise BadWorldError(message)
+    return DEFINITION.validate_python(tomllib.loads((files("sim") / "worlds" / f"{name}.toml").read_text()))
+
+
+def make_world(asked: str | WorldDefinition, seed: int) -> World:
+    """The world of a name or a definition as drawn from ``seed``: the same arguments give the same bytes.
 
     At the paper's density of one cell in twenty most draws leave the straight line from start to
     goal free, and on such a flight neither collision check nor replanning has anything to do. So a
     draw counts only if that line comes within the safety radius of an obstacle; else the next
-    attempt is drawn, with a stream of its own. No world is therefore without obstacles.
+    attempt is drawn, with a stream of its own. Worlds made by hand are the same for every seed.
 
-    :raises UnknownWorldError: if ``WORLDS`` has no such name.
+    :raises BadWorldError: naming what is wrong and its value.
     """
-    if name not in WORLDS:
-        message = f"unknown world {name!r}; known: {', '.join(sorted(WORLDS))}"
-        raise UnknownWorldError(message)
-    start, goal = np.array(START_M), np.array(GOAL_M)
-    for attempt in count():
-        obstacles = _scatter(WORLDS[name], generator(seed, f"world {name}", attempt))
-        near = _meets(obstacles, start, start, KEEP_OUT_M) | _meets(obstacles, goal, goal, KEEP_OUT_M)
+    wanted = definition(asked) if isinstance(asked, str) else asked
+    _refuse_bad_area(wanted)
+    start, goal = np.array(wanted.start), np.array(wanted.goal)
+    obstacles = _given(wanted) if isinstance(wanted, BoxWorld) else _drawn(wanted, seed, start, goal)
+    return World(wanted.name, seed, np.array([wanted.lower, wanted.upper]), obstacles, start, goal)
+
+
+def _refuse_bad_area(wanted: WorldDefinition) -> None:
+    for low, high, axis in zip(wanted.lower, wanted.upper, "xyz", strict=True):
+        if low >= high:
+            message = f"world {wanted.name}: lower {axis} {low:g} is not below upper {axis} {high:g}"
+            raise BadWorldError(message)
+    for what, place in (("start", wanted.start), ("goal", wanted.goal)):
+        if not _within(place, wanted.lower, wanted.upper):
+            message = f"world {wanted.name}: {what} {_text(place)} is outside the area"
+            raise BadWorldError(message)
+
+
+def _within(place: Point, lower: Point, upper: Point) -> bool:
+    return all(low < value < high for low, value, high in zip(lower, place, upper, strict=True))
+
+
+def _given(wanted: BoxWorld) -> Floats:
+    """The boxes of a world made by hand, (n, 6)."""
+    for index, box in enumerate(wanted.boxes):
+        if any(low >= high for low, high in zip(box[:3], box[3:], strict=True)):
+            message = f"world {wanted.name}: boxes.{index} {_text(box)}: lower corner not below the upper"
+            raise BadWorldError(message)
+        for what, place in (("start", wanted.start), ("goal", wanted.goal)):
+            if _within(place, box[:3], box[3:]):
+                message = f"world {wanted.name}: {what} {_text(place)} is inside boxes.{index} {_text(box)}"
+                raise BadWorldError(message)
+    if not wanted.boxes:
+        message = f"world {wanted.name}: boxes []: a world without obstacles"
+        raise BadWorldError(message)
+    return np.array(wanted.boxes, dtype=np.float64)
+
+
+def _drawn(wanted: GridWorld | ClusteredWorld, seed: int, start: Floats, goal: Floats) -> Floats:
+    """Obstacles (n, 6) with start and goal kept free and something in the straight way."""
+    if wanted.density == 0.0:
+        message = f"world {wanted.name}: density 0: a world without obstacles"
+        raise BadWorldError(message)
+    scatter = _scatter_grid if isinstance(wanted, GridWorld) else _scatter_clusters
+    for attempt in range(ATTEMPTS):
+        obstacles = scatter(wanted, generator(seed, f"world {wanted.name}", attempt))  # type: ignore[arg-type]
+        near = meets(obstacles, start, start, KEEP_OUT_M) | meets(obstacles, goal, goal, KEEP_OUT_M)
         obstacles = np.ascontiguousarray(obstacles[~near])
-        if _meets(obstacles, start, goal, SAFETY_RADIUS_M).any():
-            break
-    half = AREA_M / 2
-    bounds = np.array([[-half, -half, 0.0], [half, half, CEILING_M]])
-    return World(name=name, seed=seed, bounds=bounds, obstacles=obstacles, start=start, goal=goal)
+        if meets(obstacles, start, goal, SAFETY_RADIUS_M).any():
+            return obstacles
+    message = (
+        f"world {wanted.name}: density {wanted.density:g}, obstacle_m {wanted.obstacle_m:g}:"
+        f" none of {ATTEMPTS} draws puts an obstacle in the straight way"
+    )
+    raise BadWorldError(message)
 
 
-def _scatter(grid: GridWorld, rng: np.random.Generator) -> NDArray[np.float64]:
+def _scatter_grid(grid: GridWorld, rng: np.random.Generator) -> Floats:
     """Boxes (n, 6), each at a uniform position inside its cell, in the order of the cells."""
-    cells = round(AREA_M / CELL_M)
-    occupied = rng.random((cells, cells)) < grid.density
-    offset = rng.uniform(0.0, CELL_M - grid.obstacle_m, (cells, cells, 2))
-    corner = np.argwhere(occupied) * CELL_M - AREA_M / 2 + offset[occupied]
-    ground = np.zeros((len(corner), 1))
-    return np.hstack([corner, ground, corner + grid.obstacle_m, ground + OBSTACLE_TOP_M])
+    if grid.obstacle_m > grid.cell_m:
+        message = f"world {grid.name}: obstacle_m {grid.obstacle_m:g} does not fit cell_m {grid.cell_m:g}"
+        raise BadWorldError(message)
+    columns, rows = _cells(grid, grid.cell_m)
+    occupied = rng.random((columns, rows)) < grid.density
+    offset = rng.uniform(0.0, grid.cell_m - grid.obstacle_m, (columns, rows, 2))
+    corner = np.argwhere(occupied) * grid.cell_m + np.array(grid.lower[:2]) + offset[occupied]
+    return _towers(grid, corner)
 
 
-def _meets(
-    obstacles: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64], margin_m: float
-) -> NDArray[np.bool_]:
+def _scatter_clusters(wanted: ClusteredWorld, rng: np.random.Generator) -> Floats:
+    """Boxes (n, 6) on a grid whose cells hold an obstacle and half a gap on each side."""
+    pitch = wanted.obstacle_m + wanted.gap_m
+    columns, rows = _cells(wanted, pitch)
+    # The grid begins anywhere within its first cell, or its rows would be the same in every draw.
+    origin = np.array(wanted.lower[:2]) - rng.uniform(0.0, wanted.gap_m, 2) / 2
+    corner = origin + np.indices((columns, rows)).transpose(1, 2, 0) * pitch + wanted.gap_m / 2
+    centre = corner + wanted.obstacle_m / 2
+    off = np.linalg.norm(centre[:, :, None, :] - np.array(wanted.centroids), axis=-1).min(axis=-1)
+    probability = wanted.density * np.exp(-0.5 * (off / wanted.spread_m) ** 2)
+    return _towers(wanted, corner[rng.random((columns, rows)) < probability])
+
+
+def _cells(wanted: GridWorld | ClusteredWorld, cell_m: float) -> tuple[int, int]:
+    """How many cells fit the area along x and y."""
+    width, depth = (wanted.upper[axis] - wanted.lower[axis] for axis in (0, 1))
+    columns, rows = int(width / cell_m + 1e-9), int(depth / cell_m + 1e-9)
+    if columns < 1 or rows < 1:
+        message = f"world {wanted.name}: a cell of {cell_m:g} m does not fit {width:g} m by {depth:g} m"
+        raise BadWorldError(message)
+    return columns, rows
+
+
+def _towers(wanted: GridWorld | ClusteredWorld, corner: Floats) -> Floats:
+    """Square towers (n, 6) on the ground from lower corners (n, 2)."""
+    ground = np.full((len(corner), 1), wanted.lower[2])
+    return np.hstack([corner, ground, corner + wanted.obstacle_m, ground + DRAWN_TOP_M])
+
+
+def _text(numbers: tuple[float, ...]) -> str:
+    return "[" + ", ".join(f"{value:g}" for value in numbers) + "]"
+
+
+def meets(obstacles: Floats, a: Floats, b: Floats, margin_m: float) -> NDArray[np.bool_]:
     """For each box, whether the segment from ``a`` to ``b`` meets the box grown by ``margin_m``."""
     direction = b - a
     still = direction == 0.0
@@ -129,3 +198,24 @@ def _meets(
     leave = np.where(still, np.where(inside, np.inf, -np.inf), np.maximum(first, second))
     met: NDArray[np.bool_] = np.maximum(enter.max(axis=1), 0.0) <= np.minimum(leave.min(axis=1), 1.0)
     return met
+
+
+def to_toml(world: World) -> str:
+    """The file of a world: a definition by boxes that makes the same world, byte for byte."""
+
+    def numbers(values: Floats) -> str:
+        return "[" + ", ".join(map(repr, values.tolist())) + "]"
+
+    lines = [
+        f'name = "{world.name}"',
+        'kind = "boxes"',
+        f"start = {numbers(world.start)}",
+        f"goal = {numbers(world.goal)}",
+        f"lower = {numbers(world.bounds[0])}",
+        f"upper = {numbers(world.bounds[1])}",
+        "boxes = [",
+        *(f"  {numbers(box)}," for box in world.obstacles),
+        "]",
+        "",
+    ]
+    return "\n".join(lines)

@@ -11,7 +11,9 @@ from pathlib import Path
 from pydantic import Field, ValidationError
 
 from deploy.check import BadSpecError, check, one_line
-from services.bus.mission import FaultSpec, MissionSpec, Strict
+from deploy.definitions import inlined
+from services.bus.mission import FaultSpec, MissionSpec
+from services.bus.model import Strict
 
 MAX_RUNS = 100_000
 
@@ -67,7 +69,10 @@ def load_campaign(name: str) -> CampaignSpec:
         message = f"no campaign file {name!r} and no preset of that name"
         raise BadSpecError(message)
     try:
-        campaign = CampaignSpec.model_validate(tomllib.loads(text))
+        fields = tomllib.loads(text)
+        if isinstance(fields.get("mission"), dict):
+            fields["mission"] = inlined(fields["mission"])
+        campaign = CampaignSpec.model_validate(fields)
     except tomllib.TOMLDecodeError as error:
         message = f"{name}: not valid TOML: {error}"
         raise BadSpecError(message) from error

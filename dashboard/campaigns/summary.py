@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from scipy.stats import binomtest
 
 from dashboard.campaigns.local import Finished
-from services.bus.mission import Strict
+from services.bus.model import Strict
 from services.kernels import KERNELS
 
 

@@ -22,7 +22,6 @@ from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Vector3 as Vec
 from rosbags.typesys.stores.ros2_jazzy import nav_msgs__msg__Odometry as Odometry
 from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__CameraInfo as CameraInfo
 from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__Image as Image
-from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__Imu as Imu
 from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__PointCloud2 as PointCloud2
 from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__PointField as PointField
 from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__RegionOfInterest as RegionOfInterest
@@ -35,7 +34,7 @@ __all__ = [
     "Header",
     "Horizon",
     "Image",
-    "Imu",
+    "ImuBatch",
     "Injection",
     "MalformedMessageError",
     "Mission",
@@ -71,6 +70,14 @@ MESSAGES = {
         int64 busy_until_ns
         int64[] until_ns
         uint64[] count
+    """,
+    # What the IMU measured since the batch before, sample by sample x y z: rad/s and m/s^2 in the body
+    # frame. At 190 Hz a message for each sample would cost a flight more than its physics.
+    "zenfi_msgs/msg/ImuBatch": """
+        std_msgs/Header header
+        int64[] time_ns
+        float64[] angular_velocity
+        float64[] linear_acceleration
     """,
     # How the mission stands, told by the simulator once a second and at its end: `result` is
     # "flying" or a MissionResult, `qof` the JSON of services.bus.outcome.QoF.
@@ -122,6 +129,7 @@ for _name, _text in MESSAGES.items():
 
 Goal = TYPESTORE.types["zenfi_msgs/msg/Goal"]
 Horizon = TYPESTORE.types["zenfi_msgs/msg/Horizon"]
+ImuBatch = TYPESTORE.types["zenfi_msgs/msg/ImuBatch"]
 Injection = TYPESTORE.types["zenfi_msgs/msg/Injection"]
 Mission = TYPESTORE.types["zenfi_msgs/msg/Mission"]
 CollisionCheck = TYPESTORE.types["zenfi_msgs/msg/CollisionCheck"]

@@ -1,22 +1,42 @@
 """What is asked of a mission: the one definition of its specification.
 
 Names of worlds, planners, airframes and platforms are checked against the tables that
-declare them by :func:`deploy.mission.check`; here only form and range are.
+declare them by :func:`deploy.check.check`; here only form and range are.
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from services.bus.airframe import AirframeDefinition
+from services.bus.equipment import Camera, Imu, Mapping, Motion, Odometry, Wind
+from services.bus.model import Strict
+from services.bus.platform import PlatformDefinition
+from services.bus.profiles import PROFILES
+from services.bus.world import WorldDefinition
 
 Seed = int
 
 
-class Strict(BaseModel):
-    """A frozen model that refuses unknown fields: a typing error must not pass as a default."""
+def _form(value: object) -> str:
+    return "name" if isinstance(value, str) else "definition"
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+
+def _label(named: str | Strict) -> str:
+    return named if isinstance(named, str) else str(named.name)  # type: ignore[attr-defined]
+
+
+World = Annotated[
+    Annotated[str, Tag("name")] | Annotated[WorldDefinition, Tag("definition")], Discriminator(_form)
+]
+Airframe = Annotated[
+    Annotated[str, Tag("name")] | Annotated[AirframeDefinition, Tag("definition")], Discriminator(_form)
+]
+Platform = Annotated[
+    Annotated[str, Tag("name")] | Annotated[PlatformDefinition, Tag("definition")], Discriminator(_form)
+]
 
 
 class FaultSpec(Strict):
@@ -51,12 +71,40 @@ class Limits(Strict):
 
 
 class MissionSpec(Strict):
-    """Everything that a flight depends on: same specification, same bytes."""
+    """Everything that a flight depends on: same specification, same bytes.
 
-    world: str = "sparse"
+    ``world``, ``airframe`` and ``platform`` are a name or a definition of one's own. Where a
+    specification is written, ``profile`` stands for the fields of a profile that it leaves out.
+    """
+
+    world: World = "sparse"
     seed: Seed = Field(default=0, ge=0, lt=2**32)
-    airframe: str = "airsim"
+    airframe: Airframe = "airsim"
     planner: str = "rrt_star"
-    platform: str = "i9-9940x"
+    platform: Platform = "i9-9940x"
+    energy: Literal["airframe", "regression", "momentum"] = "airframe"
+    camera: Camera = Camera()
+    imu: Imu = Imu()
+    odometry: Odometry = Odometry()
+    mapping: Mapping = Mapping()
+    motion: Motion = Motion()
+    wind: Wind = Wind()
     fault: FaultSpec | None = None
     limits: Limits = Limits()
+
+    @property
+    def world_name(self) -> str:
+        """What the world is called."""
+        return _label(self.world)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _expand_profile(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or "profile" not in given:
+            return given
+        fields = dict(given)
+        name = fields.pop("profile")
+        if not isinstance(name, str) or name not in PROFILES:
+            message = f"unknown profile {name!r}; known: {', '.join(PROFILES)}"
+            raise ValueError(message)
+        return {**PROFILES[name], **fields}

@@ -20,8 +20,11 @@ import zenoh
 
 from services.bus import announce, session
 from services.bus.horizon import NEVER_NS, Stamped, earliest_activation, next_activation
+from services.bus.latency import Latency
 from services.bus.messages import Horizon, decode, encode
-from services.bus.mission import MissionSpec, Strict
+from services.bus.mission import MissionSpec
+from services.bus.model import Strict
+from services.bus.platform import KernelLatency
 from services.bus.ports import Input, Output
 from services.bus.topics import HORIZON_TYPE, PLANNER, TOPICS, published_by
 from services.bus.vitals import Vitals
@@ -54,7 +57,7 @@ class NodeSetup(Strict):
     name: str
     spec: MissionSpec
     kernels: list[str]
-    latencies_ns: dict[str, int]
+    latencies: dict[str, KernelLatency]
     expected: list[str]
     life: int = 0
     start_ns: int = 0
@@ -72,6 +75,10 @@ class Node:
         self.session = session.open_session(meeting, self.name)
         self._setup = setup
         self._page = vitals.page
+        self._latencies = {
+            kernel: Latency(stated, setup.spec.seed, kernel, setup.life)
+            for kernel, stated in setup.latencies.items()
+        }
         self._inbox: queue.SimpleQueue[tuple[str, zenoh.Sample]] = queue.SimpleQueue()
         self._inputs: dict[str, Input] = {}
         self._declared: list[Any] = []
@@ -96,7 +103,7 @@ class Node:
 
     def _lookahead_ns(self, kernels: tuple[str, ...]) -> int:
         names = (self.spec.planner if name == PLANNER else name for name in kernels)
-        return sum(self.latency_ns(name) for name in names)
+        return sum(self._latencies[name].least_ns for name in names)
 
     # -- declaring ---------------------------------------------------------------------------------
 
@@ -239,12 +246,13 @@ class Node:
             signal.raise_signal(GATE_SIGNAL)
             self._gate("leave", name)
         page["cpu_ns"][index] += spent
+        page["cpu_squares_ns2"][index] += float(spent) ** 2
         page["last_cpu_ns"][index] = spent
-        self.now_ns += self.latency_ns(name)
+        self.now_ns += self._latencies[name].of(invocation)
 
-    def latency_ns(self, kernel: str) -> int:
-        """The virtual time that a kernel takes on the mission's platform."""
-        return self._setup.latencies_ns[kernel]
+    def slow_ns(self, kernel: str) -> int:
+        """The virtual time that a kernel seldom exceeds (one call in twenty) on the mission's platform."""
+        return self._latencies[kernel].slow_ns
 
     def _gate(self, phase: str, kernel: str) -> None:
         """Let the injector take hold, or let go, of us.

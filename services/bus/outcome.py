@@ -6,7 +6,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from services.bus.mission import MissionSpec, Strict
+from services.bus.mission import MissionSpec
+from services.bus.model import Strict
 
 MissionResult = Literal["success", "collision", "no_path", "timeout", "stack_failure"]
 NodeResult = Literal["golden", "benign", "sdc", "crash", "hang"]
@@ -19,12 +20,21 @@ class QoF(Strict):
     flight_time_s: float
     distance_m: float
     energy_kj: float
+    state_of_charge: float = Field(description="of the battery at the end, a part of one")
+    missions_per_charge: float = Field(description="such flights that a full battery holds; 0 if it failed")
     replans: int
     min_clearance_m: float = Field(description="smallest distance from the hull to any obstacle")
 
 
 NO_FLIGHT = QoF(
-    success=False, flight_time_s=0.0, distance_m=0.0, energy_kj=0.0, replans=0, min_clearance_m=0.0
+    success=False,
+    flight_time_s=0.0,
+    distance_m=0.0,
+    energy_kj=0.0,
+    state_of_charge=1.0,
+    missions_per_charge=0.0,
+    replans=0,
+    min_clearance_m=0.0,
 )
 """Of a mission that died before its first report."""
 
@@ -60,10 +70,11 @@ class InjectionRecord(Strict):
 
 
 class KernelUse(Strict):
-    """How often a kernel ran in a flight and what it took of its thread."""
+    """How often a kernel ran in a flight and what it took of its thread, summed, and its squares summed."""
 
     invocations: int
     cpu_ns: int
+    cpu_squares_ns2: float = 0.0
 
 
 class NodeReport(Strict):

@@ -50,7 +50,7 @@ _TABLE = (
     Topic("goal", "zenfi_msgs/msg/Goal", "sim", None, (), "latched", True),
     Topic("camera_info", "sensor_msgs/msg/CameraInfo", "sim", None, (), "latched", True),
     Topic("odometry", "nav_msgs/msg/Odometry", "sim", None, (), "stream", True),
-    Topic("imu", "sensor_msgs/msg/Imu", "sim", None, (), "stream", True),
+    Topic("imu", "zenfi_msgs/msg/ImuBatch", "sim", None, (), "stream", True),
     Topic("depth", "sensor_msgs/msg/Image", "sim", None, (), "stream", True),
     Topic("mission", "zenfi_msgs/msg/Mission", "sim", None, (), "latched", True),
     Topic("cloud", "sensor_msgs/msg/PointCloud2", "perception", "depth", _PERCEPTION[:1], "stream", True),

@@ -27,6 +27,7 @@ _LAYOUT = np.dtype(
         ("published", np.int64, (MAX_TOPICS,)),  # by the order of the topic table
         ("invocations", np.int64, (MAX_KERNELS,)),  # by the order of the node's kernel names
         ("cpu_ns", np.int64, (MAX_KERNELS,)),
+        ("cpu_squares_ns2", np.float64, (MAX_KERNELS,)),
         ("last_cpu_ns", np.int64, (MAX_KERNELS,)),
     ]
 )

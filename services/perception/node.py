@@ -19,7 +19,7 @@ from services.perception.point_cloud import point_cloud
 
 def warm_up() -> None:
     """Compile the kernels before there is a flight."""
-    occupancy = OccupancyMap()
+    occupancy = OccupancyMap(0.5, 10.0)
     depth = np.full((2, 2), 5.0, dtype=np.float32)
     # A frame's buffer comes from the bus and is read-only: to numba a type of its own.
     depth.setflags(write=False)
@@ -36,7 +36,8 @@ def warm_up() -> None:
 
 def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
     """Take up the newest frame whenever free."""
-    occupancy, counter = OccupancyMap(), CollisionCounter()
+    mapping = setup.spec.mapping
+    occupancy, counter = OccupancyMap(mapping.resolution_m, mapping.range_m), CollisionCounter()
     with Node(setup, meeting, vitals) as node:
         depth, odometry = node.input("depth"), node.input("odometry")
         camera, trajectory = node.input("camera_info"), node.input("trajectory")

@@ -34,7 +34,7 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
         check, odometry = node.input("collision_check"), node.input("odometry")
         octomap, goal = node.input("map"), node.input("goal")
         node.ready()
-        latency_s = (node.latency_ns(node.spec.planner) + node.latency_ns("trajectory")) / 1e9
+        latency_s = (node.slow_ns(node.spec.planner) + node.slow_ns("trajectory")) / 1e9
         for checked in node.spin(check):
             found, here, known, aim = check.read(checked), odometry.latest, octomap.latest, goal.latest
             if found is None or here is None or known is None or aim is None:
@@ -60,8 +60,10 @@ def make(node: Node, request: Request, grid: VoxelGrid) -> Floats | None:
     """The trajectory that is asked for, or None if there is no way."""
     seed = rng.native_seed(node.spec.seed, "planner", request.trajectory_seq)
     with node.kernel(node.spec.planner):
-        path = plan(node.spec.planner, grid, request.departure.position, request.goal, seed)
+        path = plan(node.spec.planner, grid, request.departure.position, request.goal, seed, request.limit)
     if path is None:
         return None
     with node.kernel("trajectory"):
-        return trajectory(path, request.departure, grid)
+        motion = node.spec.motion
+        limits = motion.speed_m_s, motion.acceleration_m_s2
+        return trajectory(path, request.departure, grid, request.limit, *limits)

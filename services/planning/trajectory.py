@@ -54,6 +54,8 @@ def trajectory(
     departure: Departure,
     grid: VoxelGrid,
     limit: int = NEAR,
+    speed_limit_m_s: float = SPEED_LIMIT_M_S,
+    acceleration_limit_m_s2: float = ACCELERATION_LIMIT_M_S2,
 ) -> NDArray[np.float64] | None:
     """Trajectory (n, 12) along ``path`` (m, 3): t, x y z, vx vy vz, ax ay az, yaw, blocking_yaw.
 
@@ -64,7 +66,7 @@ def trajectory(
     level that the path keeps out of. None if no curve along the path keeps the limits and its distance.
     """
     turn_s = _first_turn(path, departure)
-    smooth = _smooth(path, departure, grid, limit)
+    smooth = _smooth(path, departure, grid, limit, speed_limit_m_s, acceleration_limit_m_s2)
     if smooth is None:
         return None
     coefficients, durations = smooth
@@ -82,7 +84,12 @@ def trajectory(
 
 
 def _smooth(
-    path: NDArray[np.float64], departure: Departure, grid: VoxelGrid, limit: int
+    path: NDArray[np.float64],
+    departure: Departure,
+    grid: VoxelGrid,
+    limit: int,
+    speed_limit: float,
+    acceleration_limit: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Minimum-snap spline within the limits and clear of obstacles: coefficients, durations.
 
@@ -91,15 +98,16 @@ def _smooth(
     """
     waypoints = subdivide(path if len(path) > 1 else np.repeat(path, 2, axis=0), _LEG_M)
     waypoints[0] = departure.position
-    speed_limit = max(SPEED_LIMIT_M_S, float(np.linalg.norm(departure.velocity)))
+    speed_limit = max(speed_limit, float(np.linalg.norm(departure.velocity)))
     for _ in range(MIDPOINTS_MAX + 1):
-        durations = _pace(waypoints, departure.velocity, _CRUISE * speed_limit, _PACE_M_S2)
+        pace_m_s2 = min(_PACE_M_S2, acceleration_limit)
+        durations = _pace(waypoints, departure.velocity, _CRUISE * speed_limit, pace_m_s2)
         first_guess_s = durations.sum()
         for _ in range(_STRETCHES_MAX):
             coefficients = minimum_snap(waypoints, durations, departure.velocity, departure.acceleration)
             times = np.arange(0.0, durations.sum() + _CHECK_S, _CHECK_S)
             motion = sample(coefficients, durations, times)
-            factors = excess(motion, times, durations, speed_limit, ACCELERATION_LIMIT_M_S2)
+            factors = excess(motion, times, durations, speed_limit, acceleration_limit)
             if factors.max() <= _STRETCH_TOLERANCE:
                 break
             durations = durations * factors

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from math import tan
+from math import degrees, tan
 
 import numpy as np
 import pytest
@@ -8,12 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from services.bus.equipment import Camera
 from sim.airframe import airframe
 from sim.camera import DepthCamera
 from sim.vehicle import Vehicle
 from tests.sim.worlds import world_with
 
-CAMERA = DepthCamera()
+EXACT = Camera(noise_per_m=0.0, quantisation_m=0.0)
+CAMERA = DepthCamera(EXACT, seed=0)
 AIRSIM = airframe("airsim")
 
 
@@ -99,7 +101,35 @@ def test_left_is_left_and_down_is_down() -> None:
 
 def test_range_ends_and_resolution_is_free() -> None:
     vehicle = Vehicle(world_with((8.0, -40.0, -40.0, 9.0, 40.0, 40.0), start=(0.0, 0.0, 30.0)), AIRSIM)
-    assert np.isposinf(DepthCamera(range_m=7.99).render(vehicle)).all()
-    narrow = DepthCamera(width=32, height=8, fov_rad=0.5, range_m=8.01)
+    assert np.isposinf(camera(range_m=7.99).render(vehicle)).all()
+    narrow = camera(width=32, height=8, fov_deg=degrees(0.5), range_m=8.01)
     assert narrow.render(vehicle) == pytest.approx(8.0 * np.ones((8, 32)), abs=1e-5)
     assert narrow.fx == pytest.approx(16 / tan(0.25))
+
+
+def camera(**fields: float) -> DepthCamera:
+    return DepthCamera(Camera.model_validate({**EXACT.model_dump(), **fields}), seed=0)
+
+
+@given(st.floats(1.0, 19.0), st.sampled_from([0.001, 0.01, 0.25]))
+@settings(max_examples=15)
+def test_depth_is_rounded_to_the_quantisation(distance: float, step: float) -> None:
+    wall = (distance, -100.0, 0.0, distance + 1.0, 100.0, 80.0)
+    vehicle = Vehicle(world_with(wall, start=(0.0, 0.0, 40.0)), AIRSIM)
+    image = camera(quantisation_m=step, height=4).render(vehicle)
+    assert np.abs(image - distance).max() <= step / 2 + 1e-5
+    assert image / step == pytest.approx(np.rint(image / step), abs=1e-2)
+
+
+def test_noise_grows_with_the_square_of_depth_and_repeats_with_the_seed() -> None:
+    near = Vehicle(world_with((4.0, -90.0, 0.0, 5.0, 90.0, 80.0), start=(0.0, 0.0, 40.0)), AIRSIM)
+    far = Vehicle(world_with((8.0, -90.0, 0.0, 9.0, 90.0, 80.0), start=(0.0, 0.0, 40.0)), AIRSIM)
+    noisy = Camera(width=128, height=72, noise_per_m=0.002, quantisation_m=0.0)
+    errors = [DepthCamera(noisy, 3).render(vehicle) - at for vehicle, at in ((near, 4.0), (far, 8.0))]
+    assert np.std(errors[0]) == pytest.approx(0.002 * 16, rel=0.1)
+    assert np.std(errors[1]) == pytest.approx(0.002 * 64, rel=0.1)
+    assert np.array_equal(DepthCamera(noisy, 3).render(far), errors[1] + np.float32(8.0))
+    assert not np.array_equal(DepthCamera(noisy, 4).render(far), DepthCamera(noisy, 3).render(far))
+    before = DepthCamera(noisy, 3).render(far)
+    far.advance(np.zeros(4), 1)
+    assert not np.array_equal(DepthCamera(noisy, 3).render(far), before), "each frame has noise of its own"

@@ -9,18 +9,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.airframe import airframe
-from sim.energy import power_w
+from sim.energy import regression_w
 from sim.qof import FlightMeter, Hull, hull_clearance
-from sim.vehicle import Vehicle
+from sim.vehicle import TRACK_WIDTH, Vehicle
 from tests.sim.worlds import world_with
 
 AIRSIM = airframe("airsim")
 HULL = Hull(AIRSIM.hull_radius_m, AIRSIM.hull_height_m / 2)
 
 
+def flown(rows: list[list[float]]) -> np.ndarray:
+    """A track from time, position and velocity, level and not turning."""
+    track = np.zeros((len(rows), TRACK_WIDTH))
+    track[:, :7] = rows
+    track[:, 10] = 1.0
+    return track
+
+
 def test_a_flight_worked_out_by_hand() -> None:
     """10 s hover; 2 s level from rest to 2 m/s; 5 s cruise; 1 s of pulling up to 1 m/s of climb."""
-    track = np.array(
+    track = flown(
         [
             [0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0],
             [10.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0],
@@ -40,7 +48,21 @@ def test_a_flight_worked_out_by_hand() -> None:
     joule = 10 * 444.34 + 2 * 465.55368 + 5 * 433.3528 + 1 * 806.7538
     assert qof.energy_kj == pytest.approx(joule / 1000)
     assert (qof.success, qof.replans) == (True, 3)
+    # A full charge is 11.1 V, 5.5 Ah: 219.78 kJ.
+    assert qof.state_of_charge == pytest.approx(1 - joule / 219_780)
+    assert qof.missions_per_charge == pytest.approx(219_780 / joule)
+    assert meter.qof(success=False, replans=3).missions_per_charge == 0.0
     assert qof.min_clearance_m == pytest.approx(np.hypot(3.0, 3.0) - AIRSIM.hull_radius_m)
+
+
+def test_a_flight_by_momentum_theory_worked_out_by_hand() -> None:
+    """10 s of hover at 444.5 W; then 5 s of climb at 2 m/s: 23.848 + 4.1 N against the heave drag, so
+    v_h = 5.771 m/s and 1 + sqrt(1 + v_h^2) = 6.857 m/s through the discs: 27.948 * 6.857 / 0.286 = 670.1 W.
+    """
+    meter = FlightMeter(world_with(), AIRSIM, "momentum")
+    meter.add(flown([[0.0, 0, 0, 2, 0, 0, 0], [10.0, 0, 0, 2, 0, 0, 0]]))
+    meter.add(flown([[10.0, 0, 0, 2, 0, 0, 2], [15.0, 0, 0, 12, 0, 0, 2]]))
+    assert meter.qof(success=True, replans=0).energy_kj == pytest.approx(10 * 0.4445 + 5 * 0.6701, rel=1e-3)
 
 
 def test_hovering_costs_hover_power_and_no_distance() -> None:
@@ -50,7 +72,7 @@ def test_hovering_costs_hover_power_and_no_distance() -> None:
         meter.add(vehicle.advance(np.zeros(4), 10))
     qof = meter.qof(success=False, replans=0)
     assert qof.flight_time_s == pytest.approx(2.0)
-    assert qof.energy_kj == pytest.approx(2 * power_w(0, 0, 0, 0) / 1000)
+    assert qof.energy_kj == pytest.approx(2 * regression_w(0, 0, 0, 0) / 1000)
     assert qof.distance_m == pytest.approx(0.0, abs=1e-6)
 
 

@@ -4,10 +4,22 @@ import hashlib
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from sim.world import CELL_M, KEEP_OUT_M, SAFETY_RADIUS_M, UnknownWorldError, World, make_world
+from services.bus.world import BoxWorld
+from sim.world import (
+    DEFINITION,
+    KEEP_OUT_M,
+    SAFETY_RADIUS_M,
+    BadWorldError,
+    World,
+    definition,
+    make_world,
+    world_names,
+)
 
 SEEDS = range(200)
+CELL_M = 10.0
 
 
 @pytest.fixture(scope="module")
@@ -70,5 +82,92 @@ def test_nobody_changes_a_world(worlds: list[World]) -> None:
 
 
 def test_unknown_name_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(UnknownWorldError, match=r"'sprase'; known: .*sparse"):
+    with pytest.raises(BadWorldError, match=r"'sprase'; known: .*sparse"):
         make_world("sprase", 0)
+
+
+def test_every_world_that_comes_along_has_its_ends_free_and_something_in_the_way() -> None:
+    assert {"sparse", "dense", "factory", "farm"} <= set(world_names())
+    for name in world_names():
+        for seed in range(5):
+            world = make_world(name, seed)
+            assert distances(world, np.stack([world.start, world.goal])).min() >= SAFETY_RADIUS_M
+            line = world.start + np.linspace(0.0, 1.0, 501)[:, None] * (world.goal - world.start)
+            assert distances(world, line).min() <= SAFETY_RADIUS_M + 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "density", "size"),
+    [
+        ("train-0.05-3", 0.05, 3.0),
+        ("train-0.05-5", 0.05, 5.0),
+        ("train-0.2-3", 0.2, 3.0),
+        ("train-0.2-5", 0.2, 5.0),
+    ],
+)
+def test_the_training_configurations_are_the_papers(name: str, density: float, size: float) -> None:
+    worlds = [make_world(name, seed) for seed in range(100)]
+    assert {content(world) for world in worlds}.isdisjoint({content(make_world("sparse", 0))})
+    sides = np.concatenate([world.obstacles[:, 3:5] - world.obstacles[:, :2] for world in worlds])
+    assert sides == pytest.approx(size)
+    assert np.mean([len(world.obstacles) for world in worlds]) == pytest.approx(100 * density, rel=0.25)
+
+
+def test_clusters_are_dense_at_their_centroids_and_keep_their_gaps() -> None:
+    wanted = DEFINITION.validate_python(
+        {
+            "name": "yard",
+            "kind": "clustered",
+            "centroids": [[-10.0, 5.0], [12.0, 2.0]],
+            "spread_m": 6.0,
+            "density": 0.9,
+            "obstacle_m": 1.5,
+            "gap_m": 2.0,
+        }
+    )
+    near = far = 0
+    for seed in range(30):
+        boxes = make_world(wanted, seed).obstacles
+        middle = (boxes[:, :2] + boxes[:, 3:5]) / 2
+        off = np.linalg.norm(middle[:, None] - np.array([[-10.0, 5.0], [12.0, 2.0]]), axis=2).min(axis=1)
+        near, far = near + int((off < 6).sum()), far + int((off > 18).sum())
+        lo, hi = boxes[:, None, :2], boxes[None, :, 3:5]
+        apart = np.maximum(lo - hi, boxes[None, :, :2] - boxes[:, None, 3:5]).max(axis=2)
+        assert (apart[~np.eye(len(boxes), dtype=bool)] >= 2.0 - 1e-9).all()
+    assert near > 20 * far > 0 or far == 0
+
+
+GRID = {"name": "mine", "kind": "grid", "density": 0.2, "obstacle_m": 5.0}
+BOXES = {"name": "mine", "kind": "boxes", "boxes": [[0.0, 0.0, 0.0, 3.0, 3.0, 9.0]]}
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        (GRID | {"density": 0.0}, "density 0"),
+        (GRID | {"density": 1e-7}, "density 1e-07"),
+        (GRID | {"obstacle_m": 11.0}, "obstacle_m 11 does not fit"),
+        (GRID | {"cell_m": 200.0, "obstacle_m": 5.0}, "cell of 200 m"),
+        (GRID | {"start": [-51.0, 0.0, 2.0]}, r"start \[-51, 0, 2\]"),
+        (GRID | {"goal": [0.0, 0.0, 12.0]}, r"goal \[0, 0, 12\]"),
+        (GRID | {"lower": [60.0, -50.0, 0.0]}, "lower x 60"),
+        (BOXES | {"boxes": []}, "without obstacles"),
+        (BOXES | {"start": [1.0, 2.0, 2.0]}, r"start \[1, 2, 2\] is inside boxes.0"),
+        (BOXES | {"goal": [1.0, 2.0, 2.0]}, r"goal \[1, 2, 2\] is inside boxes.0"),
+        (BOXES | {"boxes": [[0.0, 0.0, 0.0, -3.0, 3.0, 9.0]]}, "boxes.0"),
+    ],
+)
+def test_what_makes_no_world_is_refused_with_its_value(fields: dict[str, object], says: str) -> None:
+    with pytest.raises(BadWorldError, match=says):
+        make_world(DEFINITION.validate_python(fields), 0)
+
+
+@pytest.mark.parametrize("density", [-0.1, 1.1, float("nan")])
+def test_a_density_that_is_no_probability_is_refused(density: float) -> None:
+    with pytest.raises(ValidationError, match="density"):
+        DEFINITION.validate_python(GRID | {"density": density})
+
+
+def test_a_world_made_by_hand_is_the_same_for_every_seed() -> None:
+    assert isinstance(definition("factory"), BoxWorld)
+    assert content(make_world("factory", 1)) == content(make_world("factory", 2))

@@ -1,0 +1,67 @@
+"""The platform ``host``: this machine's latency for every kernel, measured in golden flights."""
+
+from __future__ import annotations
+
+import json
+import platform as machine
+from collections import defaultdict
+from math import sqrt
+
+from deploy.forkserver import ForkServer
+from deploy.mission import fly
+from deploy.supervisor import InfrastructureError
+from services.bus.mission import MissionSpec
+from services.bus.outcome import KernelUse
+from services.bus.platform import KernelLatency, PlatformDefinition
+from services.kernels import KERNELS, PLANNERS
+
+_MOST_JITTER = 0.95
+"""A longer tail than an exponential with no lower bound cannot be stated."""
+
+
+def measure(server: ForkServer, flights: int) -> PlatformDefinition:
+    """Fly golden flights in Dense with each planner; mean and deviation of each kernel's thread time.
+
+    :raises InfrastructureError: if a kernel never ran.
+    """
+    uses: dict[str, list[KernelUse]] = defaultdict(list)
+    for planner in PLANNERS:
+        for seed in range(flights):
+            outcome = fly(MissionSpec(world="dense", planner=planner, seed=seed), server).outcome
+            for report in outcome.nodes.values():
+                for kernel, use in report.kernels.items():
+                    uses[kernel].append(use)
+    missing = [kernel for kernel in KERNELS if not uses[kernel]]
+    if missing:
+        message = f"{', '.join(missing)} never ran in {flights} flights per planner"
+        raise InfrastructureError(message)
+    source = (
+        f"Measured on this {machine.machine()} machine: thread time, flights per planner in Dense: {flights}."
+    )
+    return PlatformDefinition(
+        name="host", source=source, kernels={kernel: latency(uses[kernel]) for kernel in KERNELS}
+    )
+
+
+def latency(uses: list[KernelUse]) -> KernelLatency:
+    """Mean and deviation over all calls of a kernel."""
+    calls = sum(use.invocations for use in uses)
+    mean_ns = sum(use.cpu_ns for use in uses) / calls
+    variance = max(sum(use.cpu_squares_ns2 for use in uses) / calls - mean_ns**2, 0.0)
+    jitter = min(sqrt(variance) / mean_ns, _MOST_JITTER) if mean_ns else 0.0
+    return KernelLatency(mean_ms=round(mean_ns / 1e6, 4), jitter=round(jitter, 3))
+
+
+def to_toml(platform: PlatformDefinition) -> str:
+    """The file of a platform."""
+    lines = [
+        f"name = {json.dumps(platform.name)}",
+        f"source = {json.dumps(platform.source)}",
+        "",
+        "[kernels]",
+    ]
+    lines += [
+        f"{kernel} = {{ mean_ms = {stated.mean_ms}, jitter = {stated.jitter} }}"
+        for kernel, stated in platform.kernels.items()
+    ]
+    return "\n".join([*lines, ""])

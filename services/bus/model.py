@@ -1,0 +1,14 @@
+"""The base of every specification."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict
+
+
+class Strict(BaseModel):
+    """A frozen model that refuses unknown fields and numbers that are not finite.
+
+    A typing error must not pass as a default.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
