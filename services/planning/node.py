@@ -19,12 +19,15 @@ from services.planning.voxels import MalformedMap, VoxelGrid, unpack
 def warm_up() -> None:
     """Compile the kernels before there is a flight."""
     corner = np.array([12.0, 12.0, 6.0])
-    start = Departure(0.0, np.array([2.0, 2.0, 2.0]), np.zeros(3), np.zeros(3), 0.0)
-    grid = unpack(b"", 1.0, np.zeros(3), corner)
-    for planner in PLANNERS:
-        path = plan(planner, grid, start.position, corner - 2.0, 1)
-        if path is not None:
-            trajectory(path, start, grid)
+    unpack(b"", 1.0, np.zeros(3), corner)
+    # A map of which one octant is occupied: a start beside it is blocked, one farther off is not.
+    grid = unpack(b"\x02\x00", 1.0, -corner, corner)
+    for position in (np.array([0.5, -2.5, -2.5]), np.array([5.0, 5.0, 2.0])):
+        start = Departure(0.0, position, np.zeros(3), np.zeros(3), 0.0)
+        for planner in PLANNERS:
+            path = plan(planner, grid, position, corner - 2.0, 1)
+            if path is not None:
+                trajectory(path, start, grid)
 
 
 def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
