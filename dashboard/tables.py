@@ -60,11 +60,13 @@ def campaign(name: str, summary: Sequence[ArmSummary]) -> Table:
     """Quality of flight per arm; fits a terminal of 80 columns."""
     table = Table(
         title=f"{name}: quality of flight per arm",
-        caption="95 %: Wilson interval of success. s, m, kJ: medians of successes; replans: their mean. "
+        caption="95 %: Wilson interval of success. s, m, kJ: medians of successes; plans: mean number of replans. "
         "hit: flights in which the bit was flipped; then what became of the node aimed at.",
+        box=None,
+        padding=(0, 1, 0, 0),
     )
     table.add_column("arm")
-    for column in ("success", "95 %", "s", "m", "kJ", "replans", "hit", *NODE_RESULTS):
+    for column in ("success", "95 %", "s", "m", "kJ", "plans", "hit", *NODE_RESULTS):
         table.add_column(column, justify="right")
     for line in summary:
         aimed = bool(line.results)
