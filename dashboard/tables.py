@@ -60,7 +60,7 @@ def campaign(name: str, summary: Sequence[ArmSummary]) -> Table:
     """Quality of flight per arm; fits a terminal of 80 columns."""
     table = Table(
         title=f"{name}: quality of flight per arm",
-        caption="95 %: Wilson interval of success. s, m, kJ: medians of successes; plans: mean number of replans. "
+        caption="95 %: Wilson interval of success. s, m, kJ: medians of successes; plans: mean of replans. "
         "hit: flights in which the bit was flipped; then what became of the node aimed at.",
         box=None,
         padding=(0, 1, 0, 0),
