@@ -17,6 +17,7 @@ from deploy.recorder import Recorder, Trace
 from deploy.scratch import mission_folder
 from deploy.supervisor import InfrastructureError, Member, Supervisor
 from services.bus import session
+from services.bus.clock import FlightClock
 from services.bus.horizon import NEVER_NS
 from services.bus.messages import Horizon, decode, encode
 from services.bus.mission import MissionSpec
@@ -87,6 +88,8 @@ class _Mission:
         begin = time.monotonic()
         with mission_folder() as folder:
             meeting = session.Meeting(folder, f"zenfi/{folder.name}")
+            if self._spec.clock == "realtime":
+                FlightClock.create(meeting.clock)
             with session.open_session(meeting, "router", router=True) as bus:
                 self._listen(bus)
                 self._supervisor = Supervisor(self._server, meeting, self._spec.limits.hang_cpu_s)

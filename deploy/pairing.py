@@ -70,12 +70,19 @@ def draw_trigger(fault: FaultSpec, golden: Outcome) -> Trigger:
 
 
 def compare(flight: Flight, twin: Flight) -> Outcome:
-    """The faulty flight's outcome with what its golden twin tells: divergence, benign or SDC."""
-    topics = {topic.name: flight.trace.report(topic.name, twin.trace) for topic in RECORDED}
+    """The faulty flight's outcome with what its golden twin tells: divergence, benign or SDC.
+
+    In real time no two flights have the same messages: there the twin tells of quality only.
+    """
+    repeats = flight.outcome.spec.clock == "lockstep"
+    pair = twin.trace if repeats else None
+    topics = {topic.name: flight.trace.report(topic.name, pair) for topic in RECORDED}
 
     def judged(stage: str, report: NodeReport) -> NodeReport:
         if report.result in ("crash", "hang"):
             return report
+        if not repeats:
+            return report.model_copy(update={"result": "unpaired"})
         strayed = any(topics[topic.name].diverged_at_s is not None for topic in published_by(stage))
         return report.model_copy(update={"result": "sdc" if strayed else "benign"})
 

@@ -81,6 +81,7 @@ class MissionSpec(Strict):
     seed: Seed = Field(default=0, ge=0, lt=2**32)
     airframe: Airframe = "airsim"
     planner: str = "rrt_star"
+    clock: Literal["lockstep", "realtime"] = "lockstep"
     platform: Platform = "i9-9940x"
     energy: Literal["airframe", "regression", "momentum"] = "airframe"
     camera: Camera = Camera()

@@ -11,7 +11,7 @@ import json
 import queue
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
@@ -188,7 +188,7 @@ class Node:
             start = self._next_start(trigger, busy_until)
             if start is None:
                 return
-            self._wait(lambda now=start: all(one.complete(now) for one in others))  # type: ignore[misc]
+            self._await_inputs(others, start)
             queued = trigger.channel.take(start, inclusive=True)
             for one in others:
                 one.deliver(start)
@@ -248,7 +248,11 @@ class Node:
         page["cpu_ns"][index] += spent
         page["cpu_squares_ns2"][index] += float(spent) ** 2
         page["last_cpu_ns"][index] = spent
-        self.now_ns += self._latencies[name].of(invocation)
+        self._elapse(name, invocation)
+
+    def _elapse(self, kernel: str, invocation: int) -> None:
+        """Let the time pass that a call takes on the mission's platform."""
+        self.now_ns += self._latencies[kernel].of(invocation)
 
     def slow_ns(self, kernel: str) -> int:
         """The virtual time that a kernel seldom exceeds (one call in twenty) on the mission's platform."""
@@ -275,7 +279,7 @@ class Node:
         inputs = list(self._inputs.values())
         if self._tick is not None:
             self._tick.__exit__(None, None, None)
-        self._wait(lambda: all(one.complete(until_ns) for one in inputs))
+        self._await_inputs(inputs, until_ns)
         for one in inputs:
             one.deliver(until_ns)
         self.now_ns = until_ns
@@ -292,6 +296,10 @@ class Node:
         self._page["dropped"] += 1
 
     # -- receiving ---------------------------------------------------------------------------------
+
+    def _await_inputs(self, inputs: Sequence[Input], now_ns: int) -> None:
+        """Wait until all that may be seen at ``now_ns`` is here."""
+        self._wait(lambda: all(one.complete(now_ns) for one in inputs))
 
     def _wait(self, settled: Callable[[], bool]) -> None:
         """Take in messages until ``settled``; ask the recorder when nothing comes."""

@@ -10,7 +10,8 @@ from services.bus.mission import MissionSpec
 from services.bus.model import Strict
 
 MissionResult = Literal["success", "collision", "no_path", "timeout", "stack_failure"]
-NodeResult = Literal["golden", "benign", "sdc", "crash", "hang"]
+NodeResult = Literal["golden", "benign", "sdc", "unpaired", "crash", "hang"]
+"""Of a node that lived: what its messages are beside its golden twin's. Flights in real time have none."""
 
 
 class QoF(Strict):
@@ -87,6 +88,7 @@ class NodeReport(Strict):
     causes: list[str] = Field(default=[], description="what ended it: a signal, an exception, a hang")
     steps: int = 0
     dropped: int = Field(default=0, description="triggers superseded while the node was busy")
+    late: int = Field(default=0, description="ticks that the simulator began more than a tick late")
     compute_s: float = 0.0
     messaging_s: float = 0.0
     waiting_s: float = 0.0

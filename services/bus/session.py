@@ -37,6 +37,11 @@ class Meeting:
     folder: Path
     namespace: str
 
+    @property
+    def clock(self) -> Path:
+        """The page of a flight's clock in real time."""
+        return self.folder / "clock"
+
     def endpoint(self, name: str) -> str:
         """The Unix socket on which session ``name`` listens."""
         return f"unixsock-stream/{self.folder}/{name}.sock"

@@ -20,6 +20,7 @@ _LAYOUT = np.dtype(
         ("computing", np.int64),  # 1 within a step, 0 while waiting
         ("steps", np.int64),
         ("dropped", np.int64),  # triggers superseded while busy
+        ("late", np.int64),  # ticks begun more than a tick late, in real time
         ("recovered", np.int64),  # messages fetched again from the recorder
         ("compute_wall_ns", np.int64),
         ("messaging_wall_ns", np.int64),

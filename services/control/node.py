@@ -6,7 +6,8 @@ import numpy as np
 
 from services.bus.arrays import POINT_FIELDS, plan, state, vector, verdict
 from services.bus.messages import Twist, TwistStamped, header
-from services.bus.node import Node, NodeSetup
+from services.bus.node import NodeSetup
+from services.bus.realtime import join
 from services.bus.session import Meeting
 from services.bus.topics import TICK_NS
 from services.bus.vitals import Vitals
@@ -30,7 +31,7 @@ def warm_up() -> None:
 def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
     """Follow the newest trajectory, brake for what the collision check finds."""
     follower = Follower()
-    with Node(setup, meeting, vitals) as node:
+    with join(setup, meeting, vitals) as node:
         odometry, check, trajectory = (
             node.input("odometry"),
             node.input("collision_check"),

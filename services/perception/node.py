@@ -8,7 +8,8 @@ import numpy as np
 
 from services.bus.arrays import NO_PLAN, POINT_FIELDS, plan, state
 from services.bus.messages import header
-from services.bus.node import Node, NodeSetup
+from services.bus.node import NodeSetup
+from services.bus.realtime import join
 from services.bus.session import Meeting
 from services.bus.vitals import Vitals
 from services.perception.collision import CollisionCounter, time_to_collision
@@ -38,7 +39,7 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
     """Take up the newest frame whenever free."""
     mapping = setup.spec.mapping
     occupancy, counter = OccupancyMap(mapping.resolution_m, mapping.range_m), CollisionCounter()
-    with Node(setup, meeting, vitals) as node:
+    with join(setup, meeting, vitals) as node:
         depth, odometry = node.input("depth"), node.input("odometry")
         camera, trajectory = node.input("camera_info"), node.input("trajectory")
         node.ready()

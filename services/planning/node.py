@@ -8,6 +8,7 @@ from services.bus import rng
 from services.bus.arrays import Floats, plan_message, state, verdict, xyz
 from services.bus.messages import header
 from services.bus.node import Node, NodeSetup
+from services.bus.realtime import join
 from services.bus.session import Meeting
 from services.bus.vitals import Vitals
 from services.planning.pilot import Navigator, Request
@@ -33,7 +34,7 @@ def warm_up() -> None:
 def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
     """Take up the newest verdict whenever free."""
     navigator: Navigator | None = None
-    with Node(setup, meeting, vitals) as node:
+    with join(setup, meeting, vitals) as node:
         check, odometry = node.input("collision_check"), node.input("odometry")
         octomap, goal = node.input("map"), node.input("goal")
         node.ready()
