@@ -7,13 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from services.bus.safety import BRAKE_BELOW_S, DECELERATION_M_S2
 from services.control.pid import STATE_SIZE, pid, stopping
-
-BRAKE_BELOW_S = 2.0
-"""A collision nearer than this is braked for: a second from full speed to rest, a frame of perception
-and its latency. One farther off leaves planning the time to lead around it in flight."""
-
-DECELERATION_M_S2 = 4.0
 
 
 class Follower:

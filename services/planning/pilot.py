@@ -12,17 +12,12 @@ from typing import Literal
 import numpy as np
 
 from services.bus.arrays import NO_PLAN, Floats, Plan, Verdict
+from services.bus.safety import BRAKE_BELOW_S, DECELERATION_M_S2
 from services.planning.trajectory import Departure
 from services.planning.voxels import CLOSE, NEAR
 
 FAILURES_MAX = 40
 """Failed plans in a row after which the mission is given up: facts page, "replan"."""
-
-BRAKE_BELOW_S = 2.0
-"""A collision nearer than this is answered from a standstill: control brakes for it at the same time."""
-
-DECELERATION_M_S2 = 4.0
-"""At which the vehicle is expected to stop."""
 
 ALTITUDE_M = (1.0, 10.0)
 """Between which paths lie: facts page, "planner"."""

@@ -9,6 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from services.bus.safety import BODY_RADIUS_M
+
 # Levels of a voxel, each implying those before it.
 FREE = 0
 NEAR = 1  # an obstacle is within the clearance, or may hide here: paths keep out
@@ -17,9 +19,6 @@ OCCUPIED = 3
 
 CLEARANCE_M = 2.25
 """Between a path and the centre of an occupied voxel. The authors' 2 m and half a voxel."""
-
-BODY_RADIUS_M = 1.5
-"""Of the safety body: facts page, "collision check"."""
 
 HIDDEN_M = 3.5
 """Unknown space this near to an occupied voxel is probably the inside of the obstacle or what it hides.

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.control.follower import BRAKE_BELOW_S, Follower
+from services.bus.safety import BRAKE_BELOW_S
+from services.control.follower import Follower
 
 HERE = np.array([0.0, 0.0, 3.0])
 FAST = np.array([3.0, 0.0, 0.0])

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from services.bus.arrays import Verdict
-from services.planning.pilot import BRAKE_BELOW_S, FAILURES_MAX, Navigator, Request
+from services.bus.safety import BRAKE_BELOW_S
+from services.planning.pilot import FAILURES_MAX, Navigator, Request
 from services.planning.voxels import CLOSE, NEAR
 
 HERE, GOAL = np.array([0.0, 0.0, 3.0]), np.array([50.0, 0.0, 3.0])
