@@ -79,6 +79,8 @@ class Member:
             causes=self.causes,
             steps=int(page["steps"]),
             dropped=int(page["dropped"]),
+            malformed=int(page["malformed"]),
+            outdated=int(page["outdated"]),
             compute_s=int(page["compute_wall_ns"]) / 1e9,
             messaging_s=int(page["messaging_wall_ns"]) / 1e9,
             waiting_s=int(page["waiting_wall_ns"]) / 1e9,

@@ -13,7 +13,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import zenoh
@@ -21,11 +21,11 @@ import zenoh
 from services.bus import announce, session
 from services.bus.horizon import NEVER_NS, Stamped, earliest_activation, next_activation
 from services.bus.latency import Latency
-from services.bus.messages import Horizon, decode, encode
+from services.bus.messages import Horizon, MalformedMessageError, decode, encode
 from services.bus.mission import MissionSpec
 from services.bus.model import Strict
 from services.bus.platform import KernelLatency
-from services.bus.ports import Input, Output
+from services.bus.ports import Input, Output, as_it_is, promise_of
 from services.bus.topics import HORIZON_TYPE, PLANNER, TOPICS, published_by
 from services.bus.vitals import Vitals
 
@@ -107,11 +107,13 @@ class Node:
 
     # -- declaring ---------------------------------------------------------------------------------
 
-    def input(self, name: str) -> Input:
-        """Subscribe to a topic."""
+    def input(self, name: str, parse: Callable[[Any], Any] = as_it_is) -> Input:
+        """Subscribe to a topic; ``parse`` as in :class:`Input`."""
         topic = TOPICS[name]
         first_seq = self._setup.resume_from.get(name, 0)
-        self._inputs[name] = Input(topic, self._rank, first_seq, self._setup.start_ns)
+        self._inputs[name] = Input(
+            topic, self._rank, first_seq, self._setup.start_ns, parse, lambda: self.count("malformed")
+        )
         self._subscribe(session.topic_key(name), name)
         self.watch(topic.publisher)
         return self._inputs[name]
@@ -291,6 +293,10 @@ class Node:
         """Count a message that was not made because nobody would have taken it up."""
         self._page["dropped"] += 1
 
+    def count(self, what: Literal["malformed", "outdated"]) -> None:
+        """Count a message that was refused."""
+        self._page[what] += 1
+
     # -- receiving ---------------------------------------------------------------------------------
 
     def _wait(self, settled: Callable[[], bool]) -> None:
@@ -317,12 +323,24 @@ class Node:
         else:
             channel = self._inputs[label].channel
             doubled = channel.duplicates
-            channel.receive(session.stamped(sample))
-            # What comes again was not lost, only slower than the recorder's answer.
-            self._page["recovered"] -= channel.duplicates - doubled
+            try:
+                channel.receive(session.stamped(sample))
+            except MalformedMessageError:
+                self.count("malformed")
+            if channel.duplicates == doubled:
+                return
+            # What comes again after the recorder's answer was not lost, only slower.
+            if self._page["recovered"] > 0:
+                self._page["recovered"] -= 1
+            else:
+                self.count("outdated")
 
     def _hear(self, stage: str, payload: bytes) -> None:
-        message = decode(payload, HORIZON_TYPE)
+        try:
+            message = promise_of(stage, payload)
+        except MalformedMessageError:
+            self.count("malformed")
+            return
         heard = self._heard[stage]
         if heard is None or message.serial > heard.serial:
             self._heard[stage] = message

@@ -87,6 +87,8 @@ class NodeReport(Strict):
     causes: list[str] = Field(default=[], description="what ended it: a signal, an exception, a hang")
     steps: int = 0
     dropped: int = Field(default=0, description="triggers superseded while the node was busy")
+    malformed: int = Field(default=0, description="messages that it refused because they make no sense")
+    outdated: int = Field(default=0, description="messages that it refused because there were newer ones")
     compute_s: float = 0.0
     messaging_s: float = 0.0
     waiting_s: float = 0.0
@@ -114,6 +116,7 @@ class Outcome(Strict):
     topics: dict[str, TopicReport]
     injection: InjectionRecord | None = None
     golden: GoldenTwin | None = None
+    refused_messages: int = Field(default=0, description="not recorded: no sequence number, or an old one")
     recovered_messages: int = Field(default=0, description="late deliveries fetched again from the recorder")
 
 

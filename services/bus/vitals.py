@@ -21,6 +21,8 @@ _LAYOUT = np.dtype(
         ("steps", np.int64),
         ("dropped", np.int64),  # triggers superseded while busy
         ("recovered", np.int64),  # messages fetched again from the recorder
+        ("malformed", np.int64),  # messages refused because they make no sense
+        ("outdated", np.int64),  # messages refused because there are newer ones
         ("compute_wall_ns", np.int64),
         ("messaging_wall_ns", np.int64),
         ("waiting_wall_ns", np.int64),

@@ -34,10 +34,11 @@ class Follower:
     ) -> bool:
         """Take in a trajectory (n, 12), or an empty one for: no path, stop. False if it is refused.
 
-        One that was planned before the newest collision was found is refused. It is flown from its
-        first row's time on; the present one is kept until then.
+        One that was planned before the newest collision was found is refused, and one that is older than
+        the trajectory of the newest verdict. It is flown from its first row's time on; the present one is
+        kept until then.
         """
-        if future_collision_seq < self._collisions:
+        if future_collision_seq < self._collisions or trajectory_seq < (self._collision_on or 0):
             return False
         self._coming = (trajectory_seq, points)
         return True

@@ -32,22 +32,22 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
     follower = Follower()
     with Node(setup, meeting, vitals) as node:
         odometry, check, trajectory = (
-            node.input("odometry"),
-            node.input("collision_check"),
-            node.input("trajectory"),
+            node.input("odometry", state),
+            node.input("collision_check", verdict),
+            node.input("trajectory", plan),
         )
         node.ready()
         for measured in node.spin(odometry):
-            for message in map(check.read, check.new):
-                if message is not None:
-                    follower.take_verdict(*verdict(message))
-            for message in map(trajectory.read, trajectory.new):
-                if message is not None:
-                    follower.take_trajectory(*plan(message)[:3])
+            for found in map(check.read, check.new):
+                if found is not None:
+                    follower.take_verdict(*found)
+            for made in map(trajectory.read, trajectory.new):
+                if made is not None and not follower.take_trajectory(*made[:3]):
+                    node.count("outdated")
             here = odometry.read(measured)
             if here is None:
                 continue
-            now_s, (position, velocity, _, yaw) = node.now_ns / 1e9, state(here)
+            now_s, (position, velocity, _, yaw) = node.now_ns / 1e9, here
             with node.kernel("pid"):
                 command = follower.command(now_s, position, velocity, yaw, TICK_S)
             twist = Twist(linear=vector(command[:3]), angular=vector(np.array([0.0, 0.0, command[3]])))

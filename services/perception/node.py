@@ -12,7 +12,7 @@ from services.bus.node import Node, NodeSetup
 from services.bus.session import Meeting
 from services.bus.vitals import Vitals
 from services.perception.collision import CollisionCounter, time_to_collision
-from services.perception.messages import check_message, cloud_message, depth_array, map_message
+from services.perception.messages import check_message, cloud_message, depth_array, map_message, pinhole
 from services.perception.occupancy import OccupancyMap
 from services.perception.point_cloud import point_cloud
 
@@ -39,24 +39,21 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
     mapping = setup.spec.mapping
     occupancy, counter = OccupancyMap(mapping.resolution_m, mapping.range_m), CollisionCounter()
     with Node(setup, meeting, vitals) as node:
-        depth, odometry = node.input("depth"), node.input("odometry")
-        camera, trajectory = node.input("camera_info"), node.input("trajectory")
+        depth, odometry = node.input("depth", depth_array), node.input("odometry", state)
+        camera, trajectory = node.input("camera_info", pinhole), node.input("trajectory", plan)
         node.ready()
         for frame in node.spin(depth):
-            image, here, info = depth.read(frame), odometry.at(frame.ready_ns), camera.latest
-            if image is None or here is None or info is None:
+            image, pose, lens = depth.read(frame), odometry.at(frame.ready_ns), camera.latest
+            if image is None or pose is None or lens is None:
                 continue
-            pose = state(here)
-            fx, cx, fy, cy = info.k[[0, 2, 4, 5]]
+            fx, fy, cx, cy = lens
             with node.kernel("point_cloud"):
-                cloud = point_cloud(
-                    depth_array(image), fx, fy, cx, cy, pose.position, pose.attitude, occupancy.range_m
-                )
+                cloud = point_cloud(image, fx, fy, cx, cy, pose.position, pose.attitude, occupancy.range_m)
             node.put("cloud", cloud_message(header(frame.ready_ns, "map"), cloud))
             with node.kernel("octomap"):
                 occupancy.insert(cloud, pose.position)
             node.put("map", map_message(header(frame.ready_ns, "map"), occupancy))
-            flown = NO_PLAN if trajectory.latest is None else plan(trajectory.latest)
+            flown = NO_PLAN if trajectory.latest is None else trajectory.latest
             checked_ns = node.now_ns
             with node.kernel("collision_check"):
                 left_s = time_to_collision(flown.points, checked_ns / 1e9, occupancy)
