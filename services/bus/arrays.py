@@ -72,6 +72,7 @@ def state(message: Odometry) -> State:
     sound = (
         np.abs(position).max() <= FARTHEST_M
         and np.abs(velocity).max() <= FASTEST_M_S
+        and np.abs(attitude).max() < 2.0
         and abs(w * w + x * x + y * y + z * z - 1.0) < 0.01
     )
     if not sound:

@@ -62,6 +62,17 @@ def test_a_trajectory_older_than_the_newest_collision_is_refused(flying: Followe
     assert flying.take_trajectory(3, 2, eastwards())
 
 
+def test_a_trajectory_older_than_the_one_that_was_checked_is_refused(flying: Follower) -> None:
+    flying.take_verdict(1.0, 4, 0, math.inf)
+    assert not flying.take_trajectory(3, 0, eastwards())
+    assert flying.take_trajectory(4, 0, eastwards())
+    # One absurd verdict does not last.
+    flying.take_verdict(1.3, 2**32 - 1, 0, math.inf)
+    assert not flying.take_trajectory(5, 0, eastwards())
+    flying.take_verdict(1.6, 4, 0, math.inf)
+    assert flying.take_trajectory(5, 0, eastwards())
+
+
 def test_it_brakes_for_a_near_collision_and_waits_for_an_answer(flying: Follower) -> None:
     flying.take_verdict(1.0, 1, 1, 1.0)
     assert forward_speed(flying, 1.7, 5.1) > 2.5

@@ -102,6 +102,17 @@ def test_a_vehicle_that_strayed_gets_a_new_trajectory(flying: Navigator) -> None
     assert request.departure.position[1] == pytest.approx(4.0)
 
 
+def test_a_trajectory_that_is_no_number_is_replaced() -> None:
+    navigator = Navigator(GOAL, LATENCY_S)
+    navigator.answer(asked(navigator, 0.5, HERE, 0), np.full((40, 12), math.nan))
+    assert consider(navigator, 3.0, at(3.0), Verdict(2.9, 1, 0, math.inf)) is not None
+
+
+def test_the_count_of_trajectories_stays_in_its_field() -> None:
+    last = 2**32 - 1
+    assert asked(Navigator(GOAL, LATENCY_S), 0.5, HERE, last, fcs=last).trajectory_seq == last
+
+
 def test_a_trajectory_that_ended_short_of_the_goal_is_followed_by_another(flying: Navigator) -> None:
     verdict = Verdict(16.4, 1, 0, math.inf)
     assert consider(flying, 16.5, at(16.0), verdict, STILL) is not None
