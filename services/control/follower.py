@@ -27,7 +27,7 @@ class Follower:
         self._collisions = 0
         self._collision_at_s = math.inf
         self._collision_on: int | None = None
-        self._state = np.zeros(STATE_SIZE)
+        self.state = np.zeros(STATE_SIZE)
 
     def take_trajectory(
         self, trajectory_seq: int, future_collision_seq: int, points: NDArray[np.float64]
@@ -61,7 +61,7 @@ class Follower:
     ) -> NDArray[np.float64]:
         """Flight command (vx, vy, vz, yaw rate) for the present state."""
         curve = self.curve(now_s, position, velocity, yaw)
-        return pid(curve, now_s, position, velocity, yaw, period_s, self._state)
+        return pid(curve, now_s, position, velocity, yaw, period_s, self.state)
 
     def curve(
         self, now_s: float, position: NDArray[np.float64], velocity: NDArray[np.float64], yaw: float
@@ -81,5 +81,5 @@ class Follower:
             return self._followed
         if self._stop is None:
             self._stop = stopping(now_s, position, velocity, yaw, DECELERATION_M_S2)
-            self._state[:] = 0.0
+            self.state[:] = 0.0
         return self._stop
