@@ -81,6 +81,8 @@ class Member:
             dropped=int(page["dropped"]),
             malformed=int(page["malformed"]),
             outdated=int(page["outdated"]),
+            alarms=int(page["alarms"]),
+            recomputed=int(page["recomputed"]),
             compute_s=int(page["compute_wall_ns"]) / 1e9,
             messaging_s=int(page["messaging_wall_ns"]) / 1e9,
             waiting_s=int(page["waiting_wall_ns"]) / 1e9,

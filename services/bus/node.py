@@ -26,6 +26,7 @@ from services.bus.mission import MissionSpec
 from services.bus.model import Strict
 from services.bus.platform import KernelLatency
 from services.bus.ports import Input, Output, as_it_is, promise_of
+from services.bus.recovery import Recovery
 from services.bus.topics import HORIZON_TYPE, PLANNER, TOPICS, published_by
 from services.bus.vitals import Vitals
 
@@ -79,6 +80,7 @@ class Node:
             kernel: Latency(stated, setup.spec.seed, kernel, setup.life)
             for kernel, stated in setup.latencies.items()
         }
+        self.recovery = Recovery(self.count)
         self._inbox: queue.SimpleQueue[tuple[str, zenoh.Sample]] = queue.SimpleQueue()
         self._inputs: dict[str, Input] = {}
         self._declared: list[Any] = []
@@ -293,8 +295,8 @@ class Node:
         """Count a message that was not made because nobody would have taken it up."""
         self._page["dropped"] += 1
 
-    def count(self, what: Literal["malformed", "outdated"]) -> None:
-        """Count a message that was refused."""
+    def count(self, what: Literal["malformed", "outdated", "alarms", "recomputed"]) -> None:
+        """Count a message that was refused, or an output that was alarmed or made again."""
         self._page[what] += 1
 
     # -- receiving ---------------------------------------------------------------------------------

@@ -89,6 +89,8 @@ class NodeReport(Strict):
     dropped: int = Field(default=0, description="triggers superseded while the node was busy")
     malformed: int = Field(default=0, description="messages that it refused because they make no sense")
     outdated: int = Field(default=0, description="messages that it refused because there were newer ones")
+    alarms: int = Field(default=0, description="outputs that were found wrong")
+    recomputed: int = Field(default=0, description="outputs that were made again")
     compute_s: float = 0.0
     messaging_s: float = 0.0
     waiting_s: float = 0.0

@@ -28,6 +28,7 @@ class Follower:
         self._collision_at_s = math.inf
         self._collision_on: int | None = None
         self.state = np.zeros(STATE_SIZE)
+        self._before = np.zeros(STATE_SIZE)
 
     def take_trajectory(
         self, trajectory_seq: int, future_collision_seq: int, points: NDArray[np.float64]
@@ -61,7 +62,24 @@ class Follower:
     ) -> NDArray[np.float64]:
         """Flight command (vx, vy, vz, yaw rate) for the present state."""
         curve = self.curve(now_s, position, velocity, yaw)
+        self._before[:] = self.state
         return pid(curve, now_s, position, velocity, yaw, period_s, self.state)
+
+    def skip_waypoint(self, now_s: float) -> bool:
+        """Drop the waypoint that is flown to and take the next; False (and a stop) if there is none.
+
+        The last command's part in the controller's state is taken back: it is as if never made.
+        """
+        self.state[:] = self._before
+        points = self._followed
+        if points is None:
+            return False
+        ahead = int(np.searchsorted(points[:, 0], now_s, side="right"))
+        if ahead >= len(points) - 1:
+            self._followed = None
+            return False
+        self._followed = np.delete(points, ahead, axis=0)
+        return True
 
     def curve(
         self, now_s: float, position: NDArray[np.float64], velocity: NDArray[np.float64], yaw: float

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from services.bus.arrays import POINT_FIELDS, plan, state, vector, verdict
+from services.bus.arrays import POINT_FIELDS, Floats, plan, state, vector, verdict
 from services.bus.messages import Twist, TwistStamped, header
 from services.bus.node import Node, NodeSetup
 from services.bus.session import Meeting
@@ -48,7 +50,18 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
             if here is None:
                 continue
             now_s, (position, velocity, _, yaw) = node.now_ns / 1e9, here
-            with node.kernel("pid"):
-                command = follower.command(now_s, position, velocity, yaw, TICK_S)
+            command = node.recovery.sound(
+                "command",
+                partial(make, node, follower, now_s, position, velocity, yaw),
+                partial(follower.skip_waypoint, now_s),
+            )
             twist = Twist(linear=vector(command[:3]), angular=vector(np.array([0.0, 0.0, command[3]])))
             node.put("command", TwistStamped(header=header(node.now_ns, "map"), twist=twist))
+
+
+def make(
+    node: Node, follower: Follower, now_s: float, position: Floats, velocity: Floats, yaw: float
+) -> Floats:
+    """The command for the present state."""
+    with node.kernel("pid"):
+        return follower.command(now_s, position, velocity, yaw, TICK_S)

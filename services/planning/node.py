@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from services.bus import rng
@@ -52,7 +54,8 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
             except MalformedMap:
                 node.count("malformed")
                 continue
-            answer = navigator.answer(request, make(node, request, grid))
+            points = node.recovery.sound("trajectory", partial(make, node, request, grid))
+            answer = navigator.answer(request, points)
             node.put("trajectory", plan_message(header(node.now_ns, "map"), answer))
 
 
