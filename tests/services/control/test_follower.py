@@ -109,3 +109,33 @@ def test_restarted_in_flight_it_goes_on_with_the_newest_trajectory() -> None:
     follower.take_verdict(5.9, 4, 3, math.inf)
     follower.take_trajectory(4, 3, eastwards())
     assert forward_speed(follower, 6.1, 18.3) == pytest.approx(3.0)
+
+
+def test_a_skipped_waypoint_is_not_flown_to(flying: Follower) -> None:
+    bad = eastwards()
+    bad[5, 2] = 40.0  # far to the left, a quarter of a second ahead
+    assert flying.take_trajectory(2, 0, bad)
+    position, velocity = np.array([3.3, 0.0, 3.0]), np.array([3.0, 0.0, 0.0])
+    before = flying.state.copy()
+    aside = flying.command(1.1, position, velocity, 0.0, 0.04)
+    assert flying.skip_waypoint(1.1)
+    assert np.array_equal(flying.state, before)
+    ahead = flying.command(1.1, position, velocity, 0.0, 0.04)
+    assert abs(aside[1]) > 1.0
+    assert ahead == pytest.approx([3.0, 0.0, 0.0, 0.0], abs=0.05)
+
+
+def test_without_a_next_waypoint_it_stops(flying: Follower) -> None:
+    assert not flying.skip_waypoint(19.9)
+    forward_speed(flying, 19.9, 59.7)
+    assert forward_speed(flying, 20.4, 60.5, 1.0) < 1.5
+    assert not flying.skip_waypoint(20.4)
+
+
+def test_skipping_changes_no_trajectory_but_the_one_that_is_flown(flying: Follower) -> None:
+    newest = eastwards(2.0)
+    assert flying.take_trajectory(2, 0, newest)
+    assert flying.skip_waypoint(1.0)
+    assert np.array_equal(newest, eastwards(2.0))
+    forward_speed(flying, 2.5, 1.5)
+    assert len(flying.curve(2.6, HERE, FAST, 0.0)) == len(newest)
