@@ -13,7 +13,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import zenoh
@@ -21,11 +21,12 @@ import zenoh
 from services.bus import announce, session
 from services.bus.horizon import NEVER_NS, Stamped, earliest_activation, next_activation
 from services.bus.latency import Latency
-from services.bus.messages import Horizon, decode, encode
+from services.bus.messages import Horizon, MalformedMessageError, decode, encode
 from services.bus.mission import MissionSpec
 from services.bus.model import Strict
 from services.bus.platform import KernelLatency
-from services.bus.ports import Input, Output
+from services.bus.ports import Input, Output, as_it_is, promise_of
+from services.bus.recovery import Recovery
 from services.bus.topics import HORIZON_TYPE, PLANNER, TOPICS, published_by
 from services.bus.vitals import Vitals
 
@@ -79,6 +80,7 @@ class Node:
             kernel: Latency(stated, setup.spec.seed, kernel, setup.life)
             for kernel, stated in setup.latencies.items()
         }
+        self.recovery = Recovery(self.count)
         self._inbox: queue.SimpleQueue[tuple[str, zenoh.Sample]] = queue.SimpleQueue()
         self._inputs: dict[str, Input] = {}
         self._declared: list[Any] = []
@@ -107,11 +109,13 @@ class Node:
 
     # -- declaring ---------------------------------------------------------------------------------
 
-    def input(self, name: str) -> Input:
-        """Subscribe to a topic."""
+    def input(self, name: str, parse: Callable[[Any], Any] = as_it_is) -> Input:
+        """Subscribe to a topic; ``parse`` as in :class:`Input`."""
         topic = TOPICS[name]
         first_seq = self._setup.resume_from.get(name, 0)
-        self._inputs[name] = Input(topic, self._rank, first_seq, self._setup.start_ns)
+        self._inputs[name] = Input(
+            topic, self._rank, first_seq, self._setup.start_ns, parse, lambda: self.count("malformed")
+        )
         self._subscribe(session.topic_key(name), name)
         self.watch(topic.publisher)
         return self._inputs[name]
@@ -295,6 +299,10 @@ class Node:
         """Count a message that was not made because nobody would have taken it up."""
         self._page["dropped"] += 1
 
+    def count(self, what: Literal["malformed", "outdated", "alarms", "recomputed"]) -> None:
+        """Count a message that was refused, or an output that was alarmed or made again."""
+        self._page[what] += 1
+
     # -- receiving ---------------------------------------------------------------------------------
 
     def _await_inputs(self, inputs: Sequence[Input], now_ns: int) -> None:
@@ -325,12 +333,24 @@ class Node:
         else:
             channel = self._inputs[label].channel
             doubled = channel.duplicates
-            channel.receive(session.stamped(sample))
-            # What comes again was not lost, only slower than the recorder's answer.
-            self._page["recovered"] -= channel.duplicates - doubled
+            try:
+                channel.receive(session.stamped(sample))
+            except MalformedMessageError:
+                self.count("malformed")
+            if channel.duplicates == doubled:
+                return
+            # What comes again after the recorder's answer was not lost, only slower.
+            if self._page["recovered"] > 0:
+                self._page["recovered"] -= 1
+            else:
+                self.count("outdated")
 
     def _hear(self, stage: str, payload: bytes) -> None:
-        message = decode(payload, HORIZON_TYPE)
+        try:
+            message = promise_of(stage, payload)
+        except MalformedMessageError:
+            self.count("malformed")
+            return
         heard = self._heard[stage]
         if heard is None or message.serial > heard.serial:
             self._heard[stage] = message

@@ -89,6 +89,10 @@ class NodeReport(Strict):
     steps: int = 0
     dropped: int = Field(default=0, description="triggers superseded while the node was busy")
     late: int = Field(default=0, description="ticks that the simulator began more than a tick late")
+    malformed: int = Field(default=0, description="messages that it refused because they make no sense")
+    outdated: int = Field(default=0, description="messages that it refused because there were newer ones")
+    alarms: int = Field(default=0, description="outputs that were found wrong")
+    recomputed: int = Field(default=0, description="outputs that were made again")
     compute_s: float = 0.0
     messaging_s: float = 0.0
     waiting_s: float = 0.0
@@ -116,6 +120,7 @@ class Outcome(Strict):
     topics: dict[str, TopicReport]
     injection: InjectionRecord | None = None
     golden: GoldenTwin | None = None
+    refused_messages: int = Field(default=0, description="not recorded: no sequence number, or an old one")
     recovered_messages: int = Field(default=0, description="late deliveries fetched again from the recorder")
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from services.bus import rng
-from services.bus.arrays import Floats, plan_message, state, verdict, xyz
+from services.bus.arrays import Floats, plan_message, sound_goal, state, verdict, xyz
 from services.bus.messages import header
 from services.bus.node import Node, NodeSetup
 from services.bus.realtime import join
@@ -14,7 +16,7 @@ from services.bus.vitals import Vitals
 from services.planning.pilot import Navigator, Request
 from services.planning.planners import PLANNERS, plan
 from services.planning.trajectory import Departure, trajectory
-from services.planning.voxels import MalformedMap, VoxelGrid, unpack
+from services.planning.voxels import MalformedMap, VoxelGrid, sound_map, unpack
 
 
 def warm_up() -> None:
@@ -35,28 +37,26 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
     """Take up the newest verdict whenever free."""
     navigator: Navigator | None = None
     with join(setup, meeting, vitals) as node:
-        check, odometry = node.input("collision_check"), node.input("odometry")
-        octomap, goal = node.input("map"), node.input("goal")
+        check, odometry = node.input("collision_check", verdict), node.input("odometry", state)
+        octomap, goal = node.input("map", sound_map), node.input("goal", sound_goal)
         node.ready()
         latency_s = (node.slow_ns(node.spec.planner) + node.slow_ns("trajectory")) / 1e9
         for checked in node.spin(check):
-            found, here, known, aim = check.read(checked), odometry.latest, octomap.latest, goal.latest
-            if found is None or here is None or known is None or aim is None:
+            found, now, known, aim = check.read(checked), odometry.latest, octomap.latest, goal.latest
+            if found is None or now is None or known is None or aim is None:
                 continue
             if navigator is None:
                 navigator = Navigator(xyz(aim.position), latency_s)
-            now = state(here)
-            request = navigator.consider(
-                node.now_ns / 1e9, now.position, now.velocity, now.yaw, verdict(found)
-            )
+            request = navigator.consider(node.now_ns / 1e9, now.position, now.velocity, now.yaw, found)
             if request is None:
                 continue
             try:
                 grid = unpack(known.data.tobytes(), known.resolution, *request.box())
             except MalformedMap:
-                octomap.malformed += 1
+                node.count("malformed")
                 continue
-            answer = navigator.answer(request, make(node, request, grid))
+            points = node.recovery.sound("trajectory", partial(make, node, request, grid))
+            answer = navigator.answer(request, points)
             node.put("trajectory", plan_message(header(node.now_ns, "map"), answer))
 
 
