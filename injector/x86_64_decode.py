@@ -47,7 +47,7 @@ _ELEMENT_BITS = {"SS": 32, "SD": 64, "PS": 32, "PD": 64}
 _FLOATING = re.compile(r"(?!V?(?:P|4F|BROADCAST|GATHER|SCATTER|MASKMOV))\w+([SP][SD])")
 _PACKED_MOVE = re.compile(r"V?MOV(?!MSK)\w*P[SD]|V?MOV(HL|LH)PS")
 _CONVERSION = re.compile(r"V?CVTT?(\w+)2(\w+)")
-_MASK_INSTRUCTION = re.compile(r"K[A-Z]+?([BWDQ])|KUNPCK(BW|WD|DQ)|VPBROADCASTM([BW])2[QD]")
+_MASK_INSTRUCTION = re.compile(r"K[A-Z]+([BWDQ])|VPBROADCASTM([BW])2[QD]")
 _MASK_CONVERSION = re.compile(r"VPMOVM2([BWDQ])|VPMOV([BWDQ])2M")
 _MASK_BITS = {"B": 8, "W": 16, "D": 32, "Q": 64}
 _NAMES = {number: name for name, number in vars(Mnemonic).items() if name.isupper()}
@@ -143,7 +143,7 @@ def _mask_bits(instruction: iced_x86.Instruction) -> int:
     """How many bits of a mask register count: one a lane, or as many as its instruction's name says."""
     name = _NAMES[instruction.mnemonic]
     if named := _MASK_INSTRUCTION.fullmatch(name):
-        return _MASK_BITS[next(filter(None, named.groups()))[-1]]
+        return _MASK_BITS[next(filter(None, named.groups()))]
     element = MemorySizeExt.element_size(instruction.op_code().memory_size)
     if converted := _MASK_CONVERSION.fullmatch(name):
         element = _MASK_BITS[next(filter(None, converted.groups()))] // 8
