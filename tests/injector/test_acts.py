@@ -17,8 +17,11 @@ from injector.opcode import corrupt
 from injector.process import Identity, Process
 from injector.strike import strike
 from services.bus.mission import FaultSpec
+from services.bus.outcome import InjectionRecord
 from services.bus.rng import generator
 from tests.injector.c_programs import Program, assembly, compiled, kill, running_program
+from tests.injector.programs import assemble, running
+from tests.injector.test_strike import held
 
 pytestmark = pytest.mark.usefixtures("may_inject")
 
@@ -42,6 +45,10 @@ def strike_at(one: Program, text: str, seed: int = 0, **fields: Any) -> Strike:
         assert found.passed_over == 0
         code = process.read_code(instruction.address)[: len(instruction.code)]
         assert code == instruction.code  # whatever was done to it
+    record = InjectionRecord(status="failed", node="", kernel="", invocation=0, model=fault.model)
+    record = record.model_copy(update=found.described())
+    assert InjectionRecord.model_validate_json(record.model_dump_json(by_alias=True)) == record
+    assert (record.status, int(record.after, 16), record.bits) == (found.status, found.after, [*found.bits])
     return found
 
 
@@ -133,6 +140,20 @@ def test_what_is_no_instruction_ends_the_program_but_not_the_next(tmp_path: Path
         assert one.process.wait() == -signal.SIGILL
     with running_program(path) as one:
         assert one.round() == "135"  # the file is as it was
+
+
+def test_code_that_others_share_is_not_corrupted() -> None:
+    with running(assemble()) as target:
+        before = target.page[:8192]
+        target.start()
+        with held(target) as (tracees, thread, process):
+            found = strike(
+                tracees, thread, process, FaultSpec(target="kernel", model="opcode"), generator(0, "test")
+            )
+            assert found is not None
+            assert found.status == "failed"
+            assert "shared" in found.reason
+        assert target.page[:8192] == before
 
 
 def test_an_instruction_is_restored_though_a_signal_comes(tmp_path: Path) -> None:
