@@ -29,6 +29,7 @@ from dashboard.campaigns.local import Finished, fly_all
 from dashboard.campaigns.spec import CampaignSpec, load_campaign, runs
 from dashboard.campaigns.summary import summarise
 from dashboard.commands.bench import bench
+from dashboard.commands.fault import FORM, parse_fault
 from dashboard.commands.options import as_json
 from dashboard.commands.redundancy import redundancy
 from dashboard.commands.world import world
@@ -38,7 +39,7 @@ from deploy.doctor import examine
 from deploy.forkserver import ForkServer, ForkServerError
 from deploy.pairing import NothingToInjectError, Pairs
 from deploy.supervisor import InfrastructureError
-from services.bus.mission import FaultSpec, MissionSpec
+from services.bus.mission import MissionSpec
 
 messages = Console(stderr=True)
 
@@ -69,13 +70,13 @@ def zenfi() -> None:
 @click.option("--clock", default="lockstep", show_default=True, help="lockstep or realtime.")
 @click.option("--profile", default="fast", show_default=True, help="Set of parameters: fast or paper.")
 @click.option("--energy", default="airframe", show_default=True, help="airframe, regression or momentum.")
-@click.option("--fault", metavar="LEVEL:KERNEL", help="Flip one bit, e.g. instruction:rrt_star.")
+@click.option("--fault", metavar=FORM, help="Flip one bit, e.g. instruction:rrt_star,operand=source.")
 @click.option("--fault-seed", type=int, default=0, show_default=True, help="Seed of the fault.")
 @as_json
 def fly(fault: str | None, fault_seed: int, as_json: bool, **fields: Any) -> None:
     """Fly one mission; with --fault, its golden twin first."""
     if fault is not None:
-        fields["fault"] = _fault(fault, fault_seed)
+        fields["fault"] = parse_fault(fault, fault_seed)
     spec = MissionSpec.model_validate(inlined(fields))
     check(spec)
     server = ForkServer()
@@ -87,14 +88,6 @@ def fly(fault: str | None, fault_seed: int, as_json: bool, **fields: Any) -> Non
         click.echo(outcome.model_dump_json(by_alias=True))
     else:
         Console().print(tables.outcome(outcome))
-
-
-def _fault(text: str, seed: int) -> FaultSpec:
-    level, colon, target = text.partition(":")
-    if not colon:
-        message = f"--fault {text!r}: expected LEVEL:KERNEL, e.g. instruction:rrt_star"
-        raise BadSpecError(message)
-    return FaultSpec.model_validate({"level": level, "target": target, "seed": seed})
 
 
 zenfi.add_command(world)

@@ -57,11 +57,14 @@ def _counted(report: NodeReport) -> list[str]:
 def _injection(record: InjectionRecord) -> str:
     if record.status != "injected":
         return f"{record.status}: {record.reason}"
-    return (
-        f"{record.kernel}: {record.instruction}\n"
-        f"{record.operand} {record.register_name} bit {', '.join(map(str, record.bits))}: "
-        f"{record.before} -> {record.after}"
-    )
+    where = f"{record.operand} {record.register_name or hex(record.address)}".strip()
+    change = f"bit {', '.join(map(str, record.bits))}: {record.before} -> {record.after}"
+    lines = [f"{record.kernel}: {record.instruction}", f"{record.model}: {where} {change}"]
+    if record.instruction_after:
+        lines.append(f"executed: {record.instruction_after}")
+    if record.held_instructions:
+        lines.append(f"held for {record.held_instructions} instructions")
+    return "\n".join([*lines, record.reason] if record.reason else lines)
 
 
 def _number(value: float, unit: str) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pydantic import ValidationError
 
 from deploy.platform import load_platform
+from injector.architecture import AbsentError, require
 from injector.preflight import check as preflight
 from services.bus.mission import MissionSpec
 from services.kernels import KERNELS, PLANNERS
@@ -37,6 +38,10 @@ def check(spec: MissionSpec) -> None:
     if target in PLANNERS and target != spec.planner:
         message = f"kernel {target!r} never runs with planner {spec.planner!r}: choose --planner {target}"
         raise BadSpecError(message)
+    try:
+        require(spec.fault)
+    except AbsentError as error:
+        raise BadSpecError(str(error)) from error
     for finding in preflight():
         if not finding.ok:
             message = f"cannot inject: {finding.name}: {finding.remedy}"

@@ -322,6 +322,8 @@ class _Mission:
                 node=kernel.stage,
                 kernel=kernel.name,
                 invocation=fault.trigger.invocation if fault.trigger is not None else 0,
+                model=fault.model,
+                scope=fault.scope,
             )
         return Outcome(
             spec=self._spec,

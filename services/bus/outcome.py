@@ -41,14 +41,20 @@ NO_FLIGHT = QoF(
 
 
 class InjectionRecord(Strict):
-    """One injection, in full. Register values are hexadecimal, least significant bit last."""
+    """One injection, in full.
+
+    Values are those of the ``width_bits`` that were struck, as one number in hexadecimal; the bytes of
+    memory and instructions are taken as little-endian. ``bits`` are numbers of bits of that number.
+    """
 
     status: Literal["injected", "not_activated", "not_reached", "failed"]
-    reason: str = Field(default="", description="why, where the status is not `injected`")
+    reason: str = Field(default="", description="why, where the status is not `injected` or only in part")
     mode: Literal["exact", "occurrence", "cpu_time"] = "cpu_time"
     node: str
     kernel: str
     invocation: int
+    model: Literal["bitflip", "stuck_at", "opcode", "memory", "none"] = "bitflip"
+    scope: Literal["kernel", "thread"] = "thread"
     pid: int = 0
     tid: int = 0
     module: str = ""
@@ -59,15 +65,21 @@ class InjectionRecord(Strict):
     instruction: str = ""
     operand: Literal["source", "destination", ""] = ""
     register_name: str = Field(default="", alias="register")
+    address: int = Field(default=0, description="of the memory that was struck")
     width_bits: int = 0
+    element_bits: int = Field(default=0, description="of the floating-point numbers in it; 0 for none")
     bits: list[int] = []
     before: str = ""
     after: str = ""
     read_back: str = ""
+    instruction_after: str = Field(default="", description="what was executed in its place")
+    held_instructions: int = Field(default=0, description="for how many a bit was held")
     virtual_time_ns: int = 0
     pause_us: float = 0.0
     threads_stopped: int = 0
-    resampled: int = Field(default=0, description="candidate sites passed over: system call, no register")
+    resampled: int = Field(
+        default=0, description="sites passed over: system call, nothing eligible, outside the scope"
+    )
 
 
 class KernelUse(Strict):
