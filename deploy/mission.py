@@ -32,7 +32,7 @@ from services.bus.outcome import (
     QoF,
 )
 from services.bus.topics import HORIZON_TYPE, RECORDED, STAGES, TOPICS
-from services.kernels import KERNELS
+from services.kernels import KERNELS, aimed_at
 
 LOOK_S = 0.02
 """Wall time between two looks at the processes while no message comes."""
@@ -168,9 +168,9 @@ class _Mission:
                 )
 
     def _start_all(self) -> None:
-        processes = [
-            one for one in self._server.stack.values() if self._spec.fault is not None or not one.with_fault
-        ]
+        fault = self._spec.fault
+        injector_needed = fault is not None and fault.level == "instruction"
+        processes = [one for one in self._server.stack.values() if injector_needed or not one.with_fault]
         self._expected = [process.name for process in processes]
         self._latencies = load_platform(self._spec.platform).kernels
         for process in processes:
@@ -231,7 +231,7 @@ class _Mission:
             )
             message = f"nobody said anything for {STALL_S:.0f} s ({tails})"
             raise InfrastructureError(message)
-        self._supervisor.kill_as_hung(self._supervisor.members[KERNELS[self._spec.fault.target].stage])
+        self._supervisor.kill_as_hung(self._supervisor.members[aimed_at(self._spec.fault)])
 
     # -- dying -------------------------------------------------------------------------------------
 
@@ -315,12 +315,11 @@ class _Mission:
         assert self._result is not None  # noqa: S101 - the loop ends with a result
         fault, injection = self._spec.fault, self._injection
         if fault is not None and injection is None:
-            kernel = KERNELS[fault.target]
             injection = InjectionRecord(
                 status="not_reached",
-                reason="the flight ended before the kernel was called that often",
-                node=kernel.stage,
-                kernel=kernel.name,
+                reason="the flight ended before that call or message",
+                node=aimed_at(fault),
+                kernel=fault.target if fault.level == "instruction" else "",
                 invocation=fault.trigger.invocation if fault.trigger is not None else 0,
                 model=fault.model,
                 scope=fault.scope,

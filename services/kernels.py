@@ -20,6 +20,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from services.bus.mission import FaultSpec
     from services.bus.trial import Output, Sample, Trial
 
 
@@ -128,6 +129,16 @@ _TABLE = (
 )
 
 KERNELS: Mapping[str, Kernel] = MappingProxyType({kernel.name: kernel for kernel in _TABLE})
+
+
+def aimed_at(fault: FaultSpec) -> str:
+    """The stage that a fault strikes."""
+    if fault.level == "instruction":
+        return KERNELS[fault.target].stage
+    from services.bus.states import members  # noqa: PLC0415 - the table is cheap to import
+
+    return members(fault.target)[0].stage
+
 
 PLANNERS: tuple[str, ...] = tuple(
     name for name, kernel in KERNELS.items() if kernel.entry.endswith("planners:plan")

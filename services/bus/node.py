@@ -21,12 +21,13 @@ import zenoh
 from services.bus import announce, session
 from services.bus.horizon import NEVER_NS, Stamped, earliest_activation, next_activation
 from services.bus.latency import Latency
-from services.bus.messages import Horizon, MalformedMessageError, decode, encode
+from services.bus.messages import Horizon, Injection, MalformedMessageError, decode, encode
 from services.bus.mission import MissionSpec
 from services.bus.model import Strict
 from services.bus.platform import KernelLatency
 from services.bus.ports import Input, Output, as_it_is, promise_of
 from services.bus.recovery import Recovery
+from services.bus.source_fault import SourceFault
 from services.bus.topics import HORIZON_TYPE, PLANNER, TOPICS, published_by
 from services.bus.vitals import Vitals
 
@@ -80,7 +81,11 @@ class Node:
             kernel: Latency(stated, setup.spec.seed, kernel, setup.life)
             for kernel, stated in setup.latencies.items()
         }
-        self.recovery = Recovery(self.count)
+        fault = setup.spec.fault
+        self._source_fault = (
+            SourceFault(fault, setup.spec.seed) if fault is not None and fault.level == "source" else None
+        )
+        self.recovery = Recovery(self.count, self._corrupt)
         self._inbox: queue.SimpleQueue[tuple[str, zenoh.Sample]] = queue.SimpleQueue()
         self._inputs: dict[str, Input] = {}
         self._declared: list[Any] = []
@@ -151,12 +156,24 @@ class Node:
 
     # -- publishing --------------------------------------------------------------------------------
 
-    def put(self, topic: str, message: Any) -> None:
-        """Publish ``message`` as ready at the node's present virtual time."""
+    def put(self, topic: str, message: Any) -> Any:
+        """Publish ``message`` as ready at the node's present virtual time; what was published."""
         begin = time.perf_counter_ns()
+        self._corrupt(topic, message)
         self._outputs[topic].put(message, self.now_ns)
         self._page["published"][list(self._outputs).index(topic)] += 1
         self._page["messaging_wall_ns"] += time.perf_counter_ns() - begin
+        return message
+
+    def _corrupt(self, topic: str, message: Any) -> None:
+        """Let the mission's source-level fault strike ``message``, the topic's next, if it is the one."""
+        fault = self._source_fault
+        if fault is None or fault.topic != topic:
+            return
+        record = fault.strike(message, self._outputs[topic].published, self.now_ns)
+        if record is not None:
+            told = Injection(record=record.model_dump_json(by_alias=True))
+            self.session.put(session.topic_key("injection"), encode(told, TOPICS["injection"].type))
 
     def promise(self, base_ns: int, busy_until_ns: int) -> None:
         """Tell the followers that nothing more is triggered before ``base_ns``."""

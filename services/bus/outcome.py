@@ -51,8 +51,10 @@ class InjectionRecord(Strict):
     reason: str = Field(default="", description="why, where the status is not `injected` or only in part")
     mode: Literal["exact", "occurrence", "cpu_time"] = "cpu_time"
     node: str
-    kernel: str
-    invocation: int
+    kernel: str = Field(description="empty for a source-level fault")
+    invocation: int = Field(description="of the kernel, or number of the message; from 0")
+    state: list[str] = Field(default=[], description="inter-kernel states struck by a source-level fault")
+    point: int = Field(default=0, description="of the trajectory that was struck")
     model: Literal["bitflip", "stuck_at", "opcode", "memory", "none"] = "bitflip"
     scope: Literal["kernel", "thread"] = "thread"
     pid: int = 0

@@ -21,23 +21,36 @@ def unwatched(_topic: str, _output: Any) -> bool:
 class Recovery:
     """One stage's way to make an output again: bounded, counted, and timed by the kernels that run again.
 
-    ``alarmed`` is the detector's verdict on an output.
+    ``alarmed`` is the detector's verdict on a message that is about to be published, after ``corrupt``,
+    by which a source-level fault strikes it.
     """
 
-    def __init__(self, count: Callable[[Literal["alarms", "recomputed"]], None]) -> None:
+    def __init__(
+        self,
+        count: Callable[[Literal["alarms", "recomputed"]], None],
+        corrupt: Callable[[str, Any], None] = lambda _topic, _message: None,
+    ) -> None:
         self.alarmed: Alarm = unwatched
         self._count = count
+        self._corrupt = corrupt
 
     def sound(
-        self, topic: str, compute: Callable[[], Made], before_again: Callable[[], object] | None = None
-    ) -> Made:
-        """What ``compute`` makes; made again, after ``before_again``, while it is alarmed.
+        self,
+        topic: str,
+        compute: Callable[[], Made],
+        message: Callable[[Made], Any],
+        before_again: Callable[[], object] | None = None,
+    ) -> tuple[Made, Any]:
+        """What ``compute`` makes and the ``message`` of it; made again while that is alarmed.
 
-        The last of ``RETRIES_MAX`` repetitions is taken whatever is said of it.
+        The last of ``RETRIES_MAX`` repetitions is taken whatever is said of it. ``before_again`` comes
+        before each.
         """
-        made = compute()
         for retry in range(RETRIES_MAX + 1):
-            if not self.alarmed(topic, made):
+            made = compute()
+            sent = message(made)
+            self._corrupt(topic, sent)
+            if not self.alarmed(topic, sent):
                 break
             self._count("alarms")
             if retry == RETRIES_MAX:
@@ -45,5 +58,4 @@ class Recovery:
             if before_again is not None:
                 before_again()
             self._count("recomputed")
-            made = compute()
-        return made
+        return made, sent

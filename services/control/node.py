@@ -51,13 +51,13 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
             if here is None:
                 continue
             now_s, (position, velocity, _, yaw) = node.now_ns / 1e9, here
-            command = node.recovery.sound(
+            _, command = node.recovery.sound(
                 "command",
                 partial(make, node, follower, now_s, position, velocity, yaw),
+                partial(command_message, node),
                 partial(follower.skip_waypoint, now_s),
             )
-            twist = Twist(linear=vector(command[:3]), angular=vector(np.array([0.0, 0.0, command[3]])))
-            node.put("command", TwistStamped(header=header(node.now_ns, "map"), twist=twist))
+            node.put("command", command)
 
 
 def make(
@@ -66,3 +66,9 @@ def make(
     """The command for the present state."""
     with node.kernel("pid"):
         return follower.command(now_s, position, velocity, yaw, TICK_S)
+
+
+def command_message(node: Node, command: Floats) -> TwistStamped:
+    """The message of a command (4,): velocity, world frame, and yaw rate."""
+    twist = Twist(linear=vector(command[:3]), angular=vector(np.array([0.0, 0.0, command[3]])))
+    return TwistStamped(header=header(node.now_ns, "map"), twist=twist)

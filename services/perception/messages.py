@@ -71,6 +71,11 @@ def cloud_message(header: Header, points: NDArray[np.float32]) -> PointCloud2:
     )
 
 
+def cloud_points(cloud: PointCloud2) -> NDArray[np.float32]:
+    """The points (n, 3) of a cloud that :func:`cloud_message` made."""
+    return cloud.data.view(np.float32).reshape(-1, len(_FIELDS))
+
+
 def map_message(header: Header, occupancy: OccupancyMap) -> Any:
     """The occupancy map as a binary octree."""
     return Octomap(

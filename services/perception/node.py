@@ -5,6 +5,7 @@ from __future__ import annotations
 from copy import copy
 from functools import partial
 from math import isfinite
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from services.perception.messages import (
     Pinhole,
     check_message,
     cloud_message,
+    cloud_points,
     depth_array,
     map_message,
     pinhole,
@@ -61,8 +63,8 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
             view = View(frame.ready_ns, image, pose, lens)
             flown = NO_PLAN if trajectory.latest is None else trajectory.latest
             # No newer frame is there to recompute from: none is exposed while the stage is busy.
-            check, counter = node.recovery.sound(
-                "collision_check", partial(perceive, node, view, flown, occupancy, counter)
+            (_, counter), check = node.recovery.sound(
+                "collision_check", partial(perceive, node, view, flown, occupancy, counter), itemgetter(0)
             )
             node.put("collision_check", check)
 
@@ -86,9 +88,9 @@ def perceive(
     pose, (fx, fy, cx, cy) = view.pose, view.lens
     with node.kernel("point_cloud"):
         cloud = point_cloud(view.depth, fx, fy, cx, cy, pose.position, pose.attitude, occupancy.range_m)
-    node.put("cloud", cloud_message(header(view.seen_ns, "map"), cloud))
+    published = node.put("cloud", cloud_message(header(view.seen_ns, "map"), cloud))
     with node.kernel("octomap"):
-        occupancy.insert(cloud, pose.position)
+        occupancy.insert(cloud_points(published), pose.position)
     node.put("map", map_message(header(view.seen_ns, "map"), occupancy))
     checked_ns = node.now_ns
     with node.kernel("collision_check"):

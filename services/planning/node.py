@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -55,9 +56,11 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
             except MalformedMap:
                 node.count("malformed")
                 continue
-            points = node.recovery.sound("trajectory", partial(make, node, request, grid))
-            answer = navigator.answer(request, points)
-            node.put("trajectory", plan_message(header(node.now_ns, "map"), answer))
+            points, message = node.recovery.sound(
+                "trajectory", partial(make, node, request, grid), partial(announced, node, request)
+            )
+            message.failed = navigator.answer(request, points).failed
+            node.put("trajectory", message)
 
 
 def make(node: Node, request: Request, grid: VoxelGrid) -> Floats | None:
@@ -71,3 +74,8 @@ def make(node: Node, request: Request, grid: VoxelGrid) -> Floats | None:
         motion = node.spec.motion
         limits = motion.speed_m_s, motion.acceleration_m_s2
         return trajectory(path, request.departure, grid, request.limit, *limits)
+
+
+def announced(node: Node, request: Request, points: Floats | None) -> Any:
+    """The message of what was made, the mission not being given up."""
+    return plan_message(header(node.now_ns, "map"), request.plan(points))

@@ -54,6 +54,11 @@ class Request:
     limit: int
     retreat: bool
 
+    def plan(self, points: Floats | None) -> Plan:
+        """What answers the request: a trajectory, or None for no path."""
+        made = NO_PLAN.points if points is None else points
+        return Plan(self.trajectory_seq, self.future_collision_seq, made, failed=False)
+
     def box(self) -> tuple[Floats, Floats]:
         """Corners (3,) of the space to search."""
         low = np.minimum(self.departure.position, self.goal) - MARGIN_M
@@ -118,12 +123,7 @@ class Navigator:
         self._points = points
         self._retreating = request.retreat
         self._answered = request.future_collision_seq
-        return Plan(
-            trajectory_seq=request.trajectory_seq,
-            future_collision_seq=request.future_collision_seq,
-            points=NO_PLAN.points if points is None else points,
-            failed=self._failures > FAILURES_MAX,
-        )
+        return request.plan(points)._replace(failed=self._failures > FAILURES_MAX)
 
     def _must_plan(self, now_s: float, position: Floats, verdict: Verdict) -> bool:
         points = self._points

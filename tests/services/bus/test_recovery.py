@@ -16,13 +16,16 @@ def test_the_first_sound_output_is_taken_or_the_last(wrong: int, alarms: int, re
     made: list[int] = []
     skipped: list[int] = []
     stage = Recovery(lambda what: counted.update([what]))
-    stage.alarmed = lambda topic, output: topic == "command" and output < wrong
+    stage.alarmed = lambda topic, output: topic == "command" and int(output) < wrong
 
     def compute() -> int:
         made.append(len(made))
         return made[-1]
 
-    assert stage.sound("command", compute, lambda: skipped.append(len(made))) == recomputed
+    assert stage.sound("command", compute, str, lambda: skipped.append(len(made))) == (
+        recomputed,
+        str(recomputed),
+    )
     assert counted == Counter({"alarms": alarms, "recomputed": recomputed})
     assert len(made) == recomputed + 1
     assert len(skipped) == recomputed
@@ -30,5 +33,5 @@ def test_the_first_sound_output_is_taken_or_the_last(wrong: int, alarms: int, re
 
 def test_without_a_detector_nothing_is_made_twice() -> None:
     counted: Counter[str] = Counter()
-    assert Recovery(lambda what: counted.update([what])).sound("command", lambda: 7) == 7
+    assert Recovery(lambda what: counted.update([what])).sound("command", lambda: 7, str) == (7, "7")
     assert not counted
