@@ -103,8 +103,11 @@ def test_the_planners_have_to_look_for_a_way_around(planner: str) -> None:
 
 def test_the_frame_changes_the_map() -> None:
     kernel = KERNELS["octomap"]
-    before = perception.Octomap("octomap", kernel.sample())
-    assert not kernel.within_tolerance(before.output(), made(kernel))
+    before = perception.Octomap("octomap", kernel.sample()).output()
+    assert not kernel.within_tolerance(before, made(kernel))
+    # It had been seen before: there are free and occupied voxels.
+    assert (before.values == 0.0).sum() > 1000
+    assert (before.values == 1.0).sum() > 100
 
 
 def test_the_check_finds_a_collision_ahead() -> None:
