@@ -8,7 +8,7 @@ import numpy as np
 
 from injector.acts import ACTS
 from injector.freeze import Thread, Tracees
-from injector.inject import Site, Strike, TargetError, stand
+from injector.inject import Standing, Strike, TargetError, stand
 from injector.process import AddressError, CodeError, Process
 from injector.ptrace import GoneError
 from injector.scope import within
@@ -40,17 +40,19 @@ def strike(
             registers, instruction = stand(thread, process)
             if registers.in_system_call or not instruction.steppable:
                 return None
-            site = Site(tracees, thread, process, registers, instruction)
+            standing = Standing(tracees, thread, process, registers, instruction)
             if inside(instruction.address):
-                found = ACTS[fault.model](site, fault, draw)
+                found = ACTS[fault.model](standing, fault, draw)
                 if found is not None:
                     return replace(found, passed_over=without + outside)
                 without += 1
             else:
                 outside += 1
-            site.execute()
-    except (TargetError, GoneError, AddressError, CodeError) as error:
+            standing.execute()
+    except (TargetError, GoneError, CodeError) as error:
         return Strike("failed", f"before the fault: {error}", passed_over=without + outside)
+    except AddressError as error:
+        return Strike("failed", str(error), passed_over=without + outside)
     what = "nothing eligible" if without == SITES else "none of the kernel's own code"
     count = SITES if without == SITES else OUTSIDE
     return Strike("not_activated", f"{what} in {count} instructions", passed_over=without + outside)
