@@ -67,6 +67,7 @@ def zenfi() -> None:
     metavar="NAME|FILE.toml",
     help="Computer whose latencies apply.",
 )
+@click.option("--clock", default="lockstep", show_default=True, help="lockstep or realtime.")
 @click.option("--profile", default="fast", show_default=True, help="Set of parameters: fast or paper.")
 @click.option("--energy", default="airframe", show_default=True, help="airframe, regression or momentum.")
 @click.option("--fault", metavar=FORM, help="Flip one bit, e.g. instruction:rrt_star,operand=source.")

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from dashboard.campaigns.summary import ArmSummary
 from injector.preflight import Finding
-from services.bus.outcome import InjectionRecord, Outcome
+from services.bus.outcome import InjectionRecord, NodeReport, Outcome
 
 NODE_RESULTS = ("benign", "sdc", "crash", "hang")
 
@@ -35,10 +35,23 @@ def outcome(one: Outcome) -> Table:
         table.add_row(label, *cells)
     table.add_row("wall time", f"{one.wall_s:.2f} s")
     for stage, report in one.nodes.items():
-        table.add_row(stage, report.result + (f" ({', '.join(report.causes)})" if report.causes else ""))
+        told = [*report.causes, *_counted(report)]
+        table.add_row(stage, report.result + (f" ({', '.join(told)})" if told else ""))
+    if one.refused_messages:
+        table.add_row("messages not recorded", str(one.refused_messages))
     if one.injection is not None:
         table.add_row("injection", _injection(one.injection))
     return table
+
+
+def _counted(report: NodeReport) -> list[str]:
+    counts = {
+        "malformed": report.malformed,
+        "outdated": report.outdated,
+        "alarms": report.alarms,
+        "recomputed": report.recomputed,
+    }
+    return [f"{count} {name}" for name, count in counts.items() if count]
 
 
 def _injection(record: InjectionRecord) -> str:

@@ -10,6 +10,8 @@ from deploy.platform import load_platform
 from injector.architecture import AbsentError, require
 from injector.preflight import check as preflight
 from services.bus.mission import MissionSpec
+from services.bus.source_fault import eligible
+from services.bus.states import GROUPS, STATES, members
 from services.kernels import KERNELS, PLANNERS
 from sim.airframe import airframe
 from sim.world import make_world
@@ -34,6 +36,16 @@ def check(spec: MissionSpec) -> None:
     if spec.fault is None:
         return
     target = spec.fault.target
+    if spec.fault.level == "source":
+        _known("inter-kernel state", target, [*STATES, *GROUPS])
+        for state in members(target):
+            if not eligible(spec.fault, state):
+                kind = "floating-point" if state.floating else "integer"
+                message = (
+                    f"fault: {state.name} has no such bits: it is a {state.width_bits}-bit {kind} number"
+                )
+                raise BadSpecError(message)
+        return
     _known("kernel", target, KERNELS)
     if target in PLANNERS and target != spec.planner:
         message = f"kernel {target!r} never runs with planner {spec.planner!r}: choose --planner {target}"

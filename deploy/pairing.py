@@ -13,6 +13,7 @@ from deploy.mission import Flight, fly
 from services.bus import rng
 from services.bus.mission import FaultSpec, MissionSpec, Trigger
 from services.bus.outcome import GoldenTwin, NodeReport, Outcome
+from services.bus.states import members
 from services.bus.topics import RECORDED, published_by
 from services.kernels import KERNELS
 
@@ -53,29 +54,43 @@ class Pairs:
 
 
 def draw_trigger(fault: FaultSpec, golden: Outcome) -> Trigger:
-    """Draw when the fault strikes: a call of the kernel, and a moment of thread time within it.
+    """Draw when the fault strikes: a call of the kernel, and a moment of thread time within it; or a
+    message that carries the state, uniform over those of the golden twin.
 
     The call is uniform over the golden twin's calls. The moment is uniform over the mean thread time
     of a call, which differs a little from machine to machine: the record says ``cpu_time``.
 
     :raises NothingToInjectError: if the golden twin never ran the kernel.
     """
+    draw = rng.generator(golden.spec.seed, f"trigger {fault.target}", fault.seed)
+    if fault.level == "source":
+        messages = golden.topics[members(fault.target)[0].topic].messages
+        if not messages:
+            message = f"the golden flight never publishes {fault.target}: nothing to inject into"
+            raise NothingToInjectError(message)
+        return Trigger(invocation=int(draw.integers(messages)), cpu_ns=0)
     use = golden.nodes[KERNELS[fault.target].stage].kernels.get(fault.target)
     if use is None:
         message = f"the golden flight never runs {fault.target}: nothing to inject into"
         raise NothingToInjectError(message)
-    draw = rng.generator(golden.spec.seed, f"trigger {fault.target}", fault.seed)
     invocation = int(draw.integers(use.invocations))
     return Trigger(invocation=invocation, cpu_ns=int(draw.random() * use.cpu_ns / use.invocations))
 
 
 def compare(flight: Flight, twin: Flight) -> Outcome:
-    """The faulty flight's outcome with what its golden twin tells: divergence, benign or SDC."""
-    topics = {topic.name: flight.trace.report(topic.name, twin.trace) for topic in RECORDED}
+    """The faulty flight's outcome with what its golden twin tells: divergence, benign or SDC.
+
+    In real time no two flights have the same messages: there the twin tells of quality only.
+    """
+    repeats = flight.outcome.spec.clock == "lockstep"
+    pair = twin.trace if repeats else None
+    topics = {topic.name: flight.trace.report(topic.name, pair) for topic in RECORDED}
 
     def judged(stage: str, report: NodeReport) -> NodeReport:
         if report.result in ("crash", "hang"):
             return report
+        if not repeats:
+            return report.model_copy(update={"result": "unpaired"})
         strayed = any(topics[topic.name].diverged_at_s is not None for topic in published_by(stage))
         return report.model_copy(update={"result": "sdc" if strayed else "benign"})
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from injector.decode import Candidate, MemoryAccess
 from injector.inject import Standing, Strike, TargetError, registers_of, stand, step
-from injector.model import draw_bits, groups, struck
 from injector.opcode import corrupt, execute
 from injector.ptrace import GoneError
 from injector.registers import Registers
+from services.bus.fault_model import draw_bits, groups, struck
 from services.bus.mission import FaultSpec
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from injector.architecture import decode
 from injector.decode import DecodeError, Instruction
 from injector.freeze import Thread, Tracees
-from injector.model import draw_bits, groups
 from injector.process import LONGEST_INSTRUCTION, AddressError, Process
+from services.bus.fault_model import draw_bits, groups
 from services.bus.mission import FaultSpec
 
 DRAWS = 100

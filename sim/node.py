@@ -9,6 +9,7 @@ from services.bus.messages import Mission, TwistStamped, header
 from services.bus.mission import MissionSpec
 from services.bus.node import Node, NodeSetup
 from services.bus.ports import Input
+from services.bus.realtime import join
 from services.bus.session import Meeting
 from services.bus.topics import TICK_NS
 from services.bus.vitals import Vitals
@@ -31,7 +32,7 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
     """Fly the mission tick by tick until the referee ends it."""
     spec = setup.spec
     flight, camera = Flight(spec), DepthCamera(spec.camera, spec.seed)
-    with Node(setup, meeting, vitals) as node:
+    with join(setup, meeting, vitals) as node:
         commands, plan = node.input("command"), node.input("trajectory")
         node.watch("perception")
         node.ready()

@@ -30,7 +30,10 @@ class _Slot(threading.Thread):
     """One worker process and the thread that feeds it."""
 
     def __init__(
-        self, cpu: int, todo: queue.SimpleQueue[list[Run]], done: queue.SimpleQueue[Finished | None]
+        self,
+        cpu: int,
+        todo: queue.SimpleQueue[list[Run]],
+        done: queue.SimpleQueue[Finished | Exception | None],
     ) -> None:
         super().__init__(daemon=True)
         self._cpu, self._todo, self._done = cpu, todo, done
@@ -45,6 +48,8 @@ class _Slot(threading.Thread):
                     return
                 for run in group:
                     self._done.put(self._fly(run))
+        except Exception as error:  # noqa: BLE001 - a bug of ours must not die with its thread
+            self._done.put(error)
         finally:
             self._done.put(None)
 
@@ -94,7 +99,7 @@ def fly_all(runs: Iterable[Run], slots: int | None = None) -> Iterator[Finished]
     """
     cpus = sorted(os.sched_getaffinity(0))
     todo: queue.SimpleQueue[list[Run]] = queue.SimpleQueue()
-    done: queue.SimpleQueue[Finished | None] = queue.SimpleQueue()
+    done: queue.SimpleQueue[Finished | Exception | None] = queue.SimpleQueue()
     for _, group in itertools.groupby(runs, key=lambda run: run.index):
         todo.put(list(group))
     crew: list[_Slot] = []
@@ -105,6 +110,8 @@ def fly_all(runs: Iterable[Run], slots: int | None = None) -> Iterator[Finished]
         working = len(crew)
         while working:
             finished = done.get()
+            if isinstance(finished, Exception):
+                raise finished
             if finished is None:
                 working -= 1
             else:

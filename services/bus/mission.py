@@ -43,6 +43,10 @@ Platform = Annotated[
 class FaultSpec(Strict):
     """One fault: where, when and what is flipped.
 
+    At ``level`` instruction ``target`` is a kernel (``services/kernels.py``), and the bits are those of an
+    instruction that it executes; at level source it is an inter-kernel state or a vector of them
+    (``services/bus/states.py``), and the bits are those of one message that carries it.
+
     ``trigger`` is left out by people; :func:`deploy.pairing.draw_trigger` draws it from ``seed`` over
     the golden twin, so that a stored specification says exactly when the fault struck.
 
@@ -51,8 +55,8 @@ class FaultSpec(Strict):
     inverts bits of the word that the instruction reads or writes; ``none`` does everything but the flip.
     """
 
-    level: Literal["instruction"] = "instruction"
-    target: str = Field(description="kernel, as named in services/kernels.py")
+    level: Literal["instruction", "source"] = "instruction"
+    target: str = Field(description="kernel, or inter-kernel state")
     seed: Seed = Field(default=0, ge=0, lt=2**32)
     model: Literal["bitflip", "stuck_at", "opcode", "memory", "none"] = "bitflip"
     operand: Literal["source", "destination", "any"] = "any"
@@ -67,6 +71,8 @@ class FaultSpec(Strict):
     scope: Literal["kernel", "thread"] = Field(
         default="thread", description="the kernel's own code, or all that its thread runs in the call"
     )
+    components: Literal["one", "all"] = Field(default="one", description="of a vector of states")
+    point: int | None = Field(default=None, ge=0, description="of a trajectory, instead of a drawn one")
     trigger: Trigger | None = None
 
     @model_validator(mode="after")
@@ -78,6 +84,10 @@ class FaultSpec(Strict):
 
     def _problems(self) -> Iterator[str]:
         """What does not go together, one line each."""
+        if self.level == "source":
+            yield from self._source_problems()
+        elif self.components != "one" or self.point is not None:
+            yield "components and point go with level source"
         stuck = (self.stuck_value, self.stuck_instructions)
         if self.model == "stuck_at" and None in stuck:
             yield "model stuck_at needs stuck_value (0 or 1) and stuck_instructions (how many)"
@@ -91,6 +101,12 @@ class FaultSpec(Strict):
             yield from self._field_problems()
         if self.bit_numbers is not None:
             yield from self._bit_number_problems(self.bit_numbers)
+
+    def _source_problems(self) -> Iterator[str]:
+        if self.model not in ("bitflip", "none"):
+            yield f"model {self.model} goes with level instruction; at level source: bitflip, none"
+        if (self.operand, self.register_class, self.scope) != ("any", "any", "thread"):
+            yield "operand, register_class and scope go with level instruction: a message has none"
 
     def _field_problems(self) -> Iterator[str]:
         if self.register_class not in ("vector", "any"):
@@ -138,6 +154,7 @@ class MissionSpec(Strict):
     seed: Seed = Field(default=0, ge=0, lt=2**32)
     airframe: Airframe = "airsim"
     planner: str = "rrt_star"
+    clock: Literal["lockstep", "realtime"] = "lockstep"
     platform: Platform = "i9-9940x"
     energy: Literal["airframe", "regression", "momentum"] = "airframe"
     camera: Camera = Camera()

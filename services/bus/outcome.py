@@ -10,7 +10,8 @@ from services.bus.mission import MissionSpec
 from services.bus.model import Strict
 
 MissionResult = Literal["success", "collision", "no_path", "timeout", "stack_failure"]
-NodeResult = Literal["golden", "benign", "sdc", "crash", "hang"]
+NodeResult = Literal["golden", "benign", "sdc", "unpaired", "crash", "hang"]
+"""Of a node that lived: what its messages are beside its golden twin's. Flights in real time have none."""
 
 
 class QoF(Strict):
@@ -50,8 +51,10 @@ class InjectionRecord(Strict):
     reason: str = Field(default="", description="why, where the status is not `injected` or only in part")
     mode: Literal["exact", "occurrence", "cpu_time"] = "cpu_time"
     node: str
-    kernel: str
-    invocation: int
+    kernel: str = Field(description="empty for a source-level fault")
+    invocation: int = Field(description="of the kernel, or number of the message; from 0")
+    state: list[str] = Field(default=[], description="inter-kernel states struck by a source-level fault")
+    point: int = Field(default=0, description="of the trajectory that was struck")
     model: Literal["bitflip", "stuck_at", "opcode", "memory", "none"] = "bitflip"
     scope: Literal["kernel", "thread"] = "thread"
     pid: int = 0
@@ -99,6 +102,11 @@ class NodeReport(Strict):
     causes: list[str] = Field(default=[], description="what ended it: a signal, an exception, a hang")
     steps: int = 0
     dropped: int = Field(default=0, description="triggers superseded while the node was busy")
+    late: int = Field(default=0, description="ticks that the simulator began more than a tick late")
+    malformed: int = Field(default=0, description="messages that it refused because they make no sense")
+    outdated: int = Field(default=0, description="messages that it refused because there were newer ones")
+    alarms: int = Field(default=0, description="outputs that were found wrong")
+    recomputed: int = Field(default=0, description="outputs that were made again")
     compute_s: float = 0.0
     messaging_s: float = 0.0
     waiting_s: float = 0.0
@@ -126,6 +134,7 @@ class Outcome(Strict):
     topics: dict[str, TopicReport]
     injection: InjectionRecord | None = None
     golden: GoldenTwin | None = None
+    refused_messages: int = Field(default=0, description="not recorded: no sequence number, or an old one")
     recovered_messages: int = Field(default=0, description="late deliveries fetched again from the recorder")
 
 

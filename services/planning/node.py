@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 
 from services.bus import rng
-from services.bus.arrays import Floats, plan_message, state, verdict, xyz
+from services.bus.arrays import Floats, plan_message, sound_goal, state, verdict, xyz
 from services.bus.messages import header
 from services.bus.node import Node, NodeSetup
+from services.bus.realtime import join
 from services.bus.session import Meeting
 from services.bus.vitals import Vitals
 from services.planning.pilot import Navigator, Request
 from services.planning.planners import PLANNERS, plan
 from services.planning.trajectory import Departure, trajectory
-from services.planning.voxels import MalformedMap, VoxelGrid, unpack
+from services.planning.voxels import MalformedMap, VoxelGrid, sound_map, unpack
 
 
 def warm_up() -> None:
@@ -33,30 +37,30 @@ def warm_up() -> None:
 def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
     """Take up the newest verdict whenever free."""
     navigator: Navigator | None = None
-    with Node(setup, meeting, vitals) as node:
-        check, odometry = node.input("collision_check"), node.input("odometry")
-        octomap, goal = node.input("map"), node.input("goal")
+    with join(setup, meeting, vitals) as node:
+        check, odometry = node.input("collision_check", verdict), node.input("odometry", state)
+        octomap, goal = node.input("map", sound_map), node.input("goal", sound_goal)
         node.ready()
         latency_s = (node.slow_ns(node.spec.planner) + node.slow_ns("trajectory")) / 1e9
         for checked in node.spin(check):
-            found, here, known, aim = check.read(checked), odometry.latest, octomap.latest, goal.latest
-            if found is None or here is None or known is None or aim is None:
+            found, now, known, aim = check.read(checked), odometry.latest, octomap.latest, goal.latest
+            if found is None or now is None or known is None or aim is None:
                 continue
             if navigator is None:
                 navigator = Navigator(xyz(aim.position), latency_s)
-            now = state(here)
-            request = navigator.consider(
-                node.now_ns / 1e9, now.position, now.velocity, now.yaw, verdict(found)
-            )
+            request = navigator.consider(node.now_ns / 1e9, now.position, now.velocity, now.yaw, found)
             if request is None:
                 continue
             try:
                 grid = unpack(known.data.tobytes(), known.resolution, *request.box())
             except MalformedMap:
-                octomap.malformed += 1
+                node.count("malformed")
                 continue
-            answer = navigator.answer(request, make(node, request, grid))
-            node.put("trajectory", plan_message(header(node.now_ns, "map"), answer))
+            points, message = node.recovery.sound(
+                "trajectory", partial(make, node, request, grid), partial(announced, node, request)
+            )
+            message.failed = navigator.answer(request, points).failed
+            node.put("trajectory", message)
 
 
 def make(node: Node, request: Request, grid: VoxelGrid) -> Floats | None:
@@ -70,3 +74,8 @@ def make(node: Node, request: Request, grid: VoxelGrid) -> Floats | None:
         motion = node.spec.motion
         limits = motion.speed_m_s, motion.acceleration_m_s2
         return trajectory(path, request.departure, grid, request.limit, *limits)
+
+
+def announced(node: Node, request: Request, points: Floats | None) -> Any:
+    """The message of what was made, the mission not being given up."""
+    return plan_message(header(node.now_ns, "map"), request.plan(points))

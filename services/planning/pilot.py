@@ -12,17 +12,12 @@ from typing import Literal
 import numpy as np
 
 from services.bus.arrays import NO_PLAN, Floats, Plan, Verdict
+from services.bus.safety import BRAKE_BELOW_S, DECELERATION_M_S2
 from services.planning.trajectory import Departure
 from services.planning.voxels import CLOSE, NEAR
 
 FAILURES_MAX = 40
 """Failed plans in a row after which the mission is given up: facts page, "replan"."""
-
-BRAKE_BELOW_S = 2.0
-"""A collision nearer than this is answered from a standstill: control brakes for it at the same time."""
-
-DECELERATION_M_S2 = 4.0
-"""At which the vehicle is expected to stop."""
 
 ALTITUDE_M = (1.0, 10.0)
 """Between which paths lie: facts page, "planner"."""
@@ -37,6 +32,7 @@ _NEXT_RESORT: Mapping[Resort, Resort] = MappingProxyType(
     {"none": "squeeze", "squeeze": "retreat", "retreat": "none"}
 )
 
+_SEQ_MAX = 2**32 - 1
 _STRAYED_M = 2.5  # farther off the trajectory than any gust or lag: it is not being flown
 _ARRIVED_M = 0.5
 _RETREAT_M = 4.0
@@ -57,6 +53,11 @@ class Request:
     future_collision_seq: int
     limit: int
     retreat: bool
+
+    def plan(self, points: Floats | None) -> Plan:
+        """What answers the request: a trajectory, or None for no path."""
+        made = NO_PLAN.points if points is None else points
+        return Plan(self.trajectory_seq, self.future_collision_seq, made, failed=False)
 
     def box(self) -> tuple[Floats, Floats]:
         """Corners (3,) of the space to search."""
@@ -95,7 +96,7 @@ class Navigator:
         self._remember(position)
         if not self._must_plan(now_s, position, verdict):
             return None
-        self._seq = (self._seq or verdict.trajectory_seq) + 1
+        self._seq = min((self._seq or verdict.trajectory_seq) + 1, _SEQ_MAX)
         refuge = self._refuge(position) if self._resort == "retreat" else None
         return Request(
             departure=self._departure(now_s, position, velocity, yaw, verdict),
@@ -122,12 +123,7 @@ class Navigator:
         self._points = points
         self._retreating = request.retreat
         self._answered = request.future_collision_seq
-        return Plan(
-            trajectory_seq=request.trajectory_seq,
-            future_collision_seq=request.future_collision_seq,
-            points=NO_PLAN.points if points is None else points,
-            failed=self._failures > FAILURES_MAX,
-        )
+        return request.plan(points)._replace(failed=self._failures > FAILURES_MAX)
 
     def _must_plan(self, now_s: float, position: Floats, verdict: Verdict) -> bool:
         points = self._points
@@ -144,7 +140,8 @@ class Navigator:
         if self._points is None:
             return True
         row = self._points[min(int(np.searchsorted(self._points[:, 0], now_s)), len(self._points) - 1)]
-        return bool(np.linalg.norm(position - row[1:4]) > _STRAYED_M)
+        # A trajectory that is not finite is one that nobody flies.
+        return not np.linalg.norm(position - row[1:4]) <= _STRAYED_M
 
     def _departure(
         self, now_s: float, position: Floats, velocity: Floats, yaw: float, verdict: Verdict

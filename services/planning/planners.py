@@ -38,6 +38,9 @@ above and below is all that it sees of where a climb leads."""
 NEAREST_OPEN_M = 6.0
 """How far from a blocked start or goal an open voxel is looked for."""
 
+_NO_WAY_M = 1e-6
+"""Nearer ends than these need no search; RRT* raises an error where both are one place."""
+
 # From metres to the space that OMPL searches.
 _METRIC: NDArray[np.float64] = np.array([1.0, 1.0, CLIMB_WEIGHT])
 
@@ -62,7 +65,9 @@ def plan(
     target = nearest_open(grid, goal, limit)
     if entry is None or target is None:
         return None
-    found = _search(planner, grid, entry, target, seed, limit, iterations)
+    found: NDArray[np.float64] | None = np.array([entry, target])
+    if np.linalg.norm(target - entry) > _NO_WAY_M:
+        found = _search(planner, grid, entry, target, seed, limit, iterations)
     if found is None:
         return None
     path = shorten(found, grid.levels, grid.origin, grid.resolution_m, limit)

@@ -9,14 +9,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from services.bus.safety import SPEED_LIMIT_M_S
 from services.planning.polyline import subdivide
 from services.planning.spline import excess, minimum_snap, sample
 from services.planning.voxels import CLOSE, NEAR, OCCUPIED, VoxelGrid, edge_clear, level_at
 
-SPEED_LIMIT_M_S = 3.0
 ACCELERATION_LIMIT_M_S2 = 5.0
 MIDPOINTS_MAX = 40
-"""Insertions after which smoothing gives up. These three: facts page, "smoothing"."""
+"""Insertions after which smoothing gives up. Both: facts page, "smoothing"."""
 
 STEP_S = 0.25
 """Between points. The authors' 0.5 s let a chord of a turn stray 0.2 m from the curve."""

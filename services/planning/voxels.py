@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from services.bus.messages import MalformedMessageError
+from services.bus.safety import BODY_RADIUS_M
 
 # Levels of a voxel, each implying those before it.
 FREE = 0
@@ -17,9 +21,6 @@ OCCUPIED = 3
 
 CLEARANCE_M = 2.25
 """Between a path and the centre of an occupied voxel. The authors' 2 m and half a voxel."""
-
-BODY_RADIUS_M = 1.5
-"""Of the safety body: facts page, "collision check"."""
 
 HIDDEN_M = 3.5
 """Unknown space this near to an occupied voxel is probably the inside of the obstacle or what it hides.
@@ -31,8 +32,24 @@ _DEPTH = 16  # levels of an octree in OctoMap
 _CENTRE = 1 << (_DEPTH - 1)  # key of the voxel whose lower corner is the world's origin
 
 
-class MalformedMap(ValueError):  # noqa: N818 - the message is malformed, not the program
-    """A payload that is no binary OctoMap stream."""
+RESOLUTIONS_M = (0.01, 10.0)
+MOST_VOXELS = 2**30
+"""Of a grid, rim included. A map finer than these, or a way longer, is none that can be planned in."""
+
+
+class MalformedMap(MalformedMessageError):  # noqa: N818 - the map is, not the program
+    """A message that holds no map to plan in."""
+
+
+def sound_map(message: Any) -> Any:
+    """The ``octomap_msgs/Octomap`` message itself.
+
+    :raises MalformedMap: if it is not a binary octree or has an absurd resolution.
+    """
+    finest, coarsest = RESOLUTIONS_M
+    if not (message.binary and message.id == "OcTree" and finest <= message.resolution <= coarsest):
+        raise MalformedMap(f"map: {message.id!r}, binary {message.binary}, resolution {message.resolution}")
+    return message
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +86,15 @@ def unpack(
     Around each occupied voxel the levels fall off with the horizontal distance; above and below, one
     voxel's height is kept. Unknown space is free, unless it is close behind something.
 
-    :raises MalformedMap: if the data breaks off, goes on after the tree or branches too deep.
+    :raises MalformedMap: if the data breaks off, goes on after the tree or branches too deep, or if the box
+        is absurdly large.
     """
+    margin = math.ceil(max(clearance_m, HIDDEN_M) / resolution_m)
+    # A comparison with NaN is false.
+    if not np.prod((high - low) / resolution_m + 2 * margin) <= MOST_VOXELS:
+        raise MalformedMap(f"no grid can be made from {low} to {high}")
     first = np.floor(low / resolution_m).astype(np.int64)
     shape = np.ceil(high / resolution_m).astype(np.int64) - first
-    margin = math.ceil(max(clearance_m, HIDDEN_M) / resolution_m)
     seen = np.zeros(shape + 2 * margin, dtype=np.uint8)
     data = np.frombuffer(payload, dtype=np.uint8)
     if len(data) and (problem := _mark(data, first - margin + _CENTRE, seen)):

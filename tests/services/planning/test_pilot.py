@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from services.bus.arrays import Verdict
-from services.planning.pilot import BRAKE_BELOW_S, FAILURES_MAX, Navigator, Request
+from services.bus.safety import BRAKE_BELOW_S
+from services.planning.pilot import FAILURES_MAX, Navigator, Request
 from services.planning.voxels import CLOSE, NEAR
 
 HERE, GOAL = np.array([0.0, 0.0, 3.0]), np.array([50.0, 0.0, 3.0])
@@ -99,6 +100,17 @@ def test_a_vehicle_that_strayed_gets_a_new_trajectory(flying: Navigator) -> None
     request = consider(flying, 3.0, at(3.0) + np.array([0.0, 4.0, 0.0]), Verdict(2.9, 1, 0, math.inf))
     assert request is not None
     assert request.departure.position[1] == pytest.approx(4.0)
+
+
+def test_a_trajectory_that_is_no_number_is_replaced() -> None:
+    navigator = Navigator(GOAL, LATENCY_S)
+    navigator.answer(asked(navigator, 0.5, HERE, 0), np.full((40, 12), math.nan))
+    assert consider(navigator, 3.0, at(3.0), Verdict(2.9, 1, 0, math.inf)) is not None
+
+
+def test_the_count_of_trajectories_stays_in_its_field() -> None:
+    last = 2**32 - 1
+    assert asked(Navigator(GOAL, LATENCY_S), 0.5, HERE, last, fcs=last).trajectory_seq == last
 
 
 def test_a_trajectory_that_ended_short_of_the_goal_is_followed_by_another(flying: Navigator) -> None:

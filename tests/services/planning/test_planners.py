@@ -99,6 +99,16 @@ def test_a_blocked_goal_is_approached(planner: str) -> None:
     assert_clear(path, walled)
 
 
+@every_planner
+@pytest.mark.parametrize("gap_m", [0.0, 1e-15, 1e-9, 1e-3])
+def test_where_the_goal_is_already_there_is_nothing_to_search(planner: str, gap_m: float) -> None:
+    goal = GOAL + np.array([gap_m, 0.0, 0.0])
+    path = plan(planner, open_space(), GOAL, goal, 1)
+    assert path is not None
+    assert path[-1] == pytest.approx(goal)
+    assert length(path) == pytest.approx(gap_m, rel=0.02, abs=1e-12)
+
+
 def test_no_place_near_the_goal_no_path() -> None:
     block = grid(box((20.0, -10.0, 0.0), (40.0, 10.0, 11.0)))
     assert plan("rrt_connect", block, START, GOAL, 1) is None

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from services.bus.safety import SPEED_LIMIT_M_S
 from services.planning.planners import plan
 from services.planning.trajectory import (
     ACCELERATION_LIMIT_M_S2,
-    SPEED_LIMIT_M_S,
     STEP_S,
     YAW_RATE_LIMIT_RAD_S,
     Departure,

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from scipy.stats import chisquare
 
-from injector.model import draw_bits, groups, struck
+from services.bus.fault_model import draw_bits, groups, struck
 from services.bus.mission import FaultSpec
 from services.bus.rng import generator
 
