@@ -24,6 +24,7 @@ _LOAD_STORE = re.compile(r"(ld|st)(?:u|t)?(r|p)(s?[bhw])?")
 _TRANSFER_BITS = {"b": 8, "h": 16, "w": 32}
 """What a suffix of a load or store says of the width in memory; else it is the register's."""
 
+_WIDTHS = {"xzr": 64, "wzr": 32} | {name: field.width for name, field in FIELDS.items()}
 _TO_FLOAT = frozenset({"scvtf", "ucvtf"})
 _FROM_FLOAT = re.compile(r"fcvt[anmpzt]+[su]|fjcvtzs")
 _FLOATING = re.compile(r"f(?!mov)\w+")
@@ -121,18 +122,15 @@ def _memory(found: Any) -> Iterator[MemoryAccess]:
     # Of the extensions of an index, only that which leaves it as it is.
     if plain is None or operand is None or operand.ext not in (arm64.ARM64_EXT_INVALID, arm64.ARM64_EXT_UXTW):
         return
-    width = _TRANSFER_BITS.get((plain[3] or " ")[-1]) or _width(found.reg_name(found.operands[0].reg))
+    width = _TRANSFER_BITS.get((plain[3] or " ")[-1]) or _WIDTHS.get(found.reg_name(found.operands[0].reg), 0)
+    if not width:  # a register of SVE
+        return
+    index = found.reg_name(operand.mem.index)
     yield MemoryAccess(
         "source" if plain[1] == "ld" else "destination",
         2 * width if plain[2] == "p" else width,
         base=found.reg_name(operand.mem.base),
-        index=found.reg_name(operand.mem.index) or "",
+        index=index if index in FIELDS else "",  # not the zero register
         scale=1 << operand.shift.value,
         displacement=operand.mem.disp,
     )
-
-
-def _width(name: str) -> int:
-    """Bits of the register that is loaded or stored."""
-    zero = {"xzr": 64, "wzr": 32}
-    return zero[name] if name in zero else FIELDS[name].width

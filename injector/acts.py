@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from injector.decode import Candidate, MemoryAccess
-from injector.inject import Site, Strike, TargetError, registers_of, stand, step
+from injector.inject import Standing, Strike, TargetError, registers_of, stand, step
 from injector.opcode import corrupt, execute
 from injector.ptrace import GoneError
 from injector.registers import Registers
@@ -16,11 +16,11 @@ from services.bus.fault_model import draw_bits, groups, struck
 from services.bus.mission import FaultSpec
 
 
-def strike_register(site: Site, fault: FaultSpec, draw: np.random.Generator) -> Strike | None:
+def strike_register(at: Standing, fault: FaultSpec, draw: np.random.Generator) -> Strike | None:
     """Change a register that the instruction reads or writes, once or for some time."""
     eligible = [
         (one, among)
-        for one in site.instruction.eligible(fault.operand, fault.register_class)
+        for one in at.instruction.eligible(fault.operand, fault.register_class)
         if (among := groups(fault, one.width_bits, one.element_bits, one.accessed))
     ]
     if not eligible:
@@ -28,29 +28,29 @@ def strike_register(site: Site, fault: FaultSpec, draw: np.random.Generator) -> 
     candidate, among = eligible[int(draw.integers(len(eligible)))]
     bits = draw_bits(fault, among, draw)
     if candidate.role == "destination":
-        site.execute()
-    found = _change(site, fault, candidate, bits)
-    return _hold(site, fault, candidate, found) if fault.model == "stuck_at" else found
+        at.execute()
+    found = _change(at, fault, candidate, bits)
+    return _hold(at, fault, candidate, found) if fault.model == "stuck_at" else found
 
 
-def _change(site: Site, fault: FaultSpec, candidate: Candidate, bits: tuple[int, ...]) -> Strike:
+def _change(at: Standing, fault: FaultSpec, candidate: Candidate, bits: tuple[int, ...]) -> Strike:
     """Change bits of a register and read them back.
 
     :raises GoneError: if the thread has been killed.
     """
     accessed = (1 << candidate.width_bits) - 1
-    registers = registers_of(site.thread)
+    registers = registers_of(at.thread)
     before = registers.get(candidate.register)
     after = struck(fault, before, bits)
     registers.put(candidate.register, after)
     registers.commit()
-    read_back = registers_of(site.thread).get(candidate.register)
+    read_back = registers_of(at.thread).get(candidate.register)
     return _judged(
         fault,
         f"the kernel did not take the change of {candidate.register}",
         Strike(
             "injected",
-            instruction=site.instruction,
+            instruction=at.instruction,
             operand=candidate.role,
             register=candidate.register,
             width_bits=candidate.width_bits,
@@ -72,7 +72,7 @@ def _judged(fault: FaultSpec, refused: str, found: Strike) -> Strike:
     return found
 
 
-def _hold(site: Site, fault: FaultSpec, candidate: Candidate, first: Strike) -> Strike:
+def _hold(at: Standing, fault: FaultSpec, candidate: Candidate, first: Strike) -> Strike:
     """Hold the bits for as many instructions as asked for: force them before each of them.
 
     It ends earlier, with a reason, where the thread can be stepped no further.
@@ -81,12 +81,12 @@ def _hold(site: Site, fault: FaultSpec, candidate: Candidate, first: Strike) -> 
     changed, held, reason = first.before != first.after, 1, ""
     while first.status == "injected" and held < wanted and not reason:
         try:
-            registers, instruction = stand(site.thread, site.process)
+            registers, instruction = stand(at.thread, at.process)
             if registers.in_system_call or not instruction.steppable:
                 reason = f"held until {instruction.text}"
                 break
-            step(site.tracees, site.thread, instruction)
-            again = _change(site, fault, candidate, first.bits)
+            step(at.tracees, at.thread, instruction)
+            again = _change(at, fault, candidate, first.bits)
         except (TargetError, GoneError) as error:
             reason = f"held until the thread stopped short: {error}"
             break
@@ -99,31 +99,31 @@ def _hold(site: Site, fault: FaultSpec, candidate: Candidate, first: Strike) -> 
     return replace(first, reason=reason or first.reason, held_instructions=held)
 
 
-def strike_memory(site: Site, fault: FaultSpec, draw: np.random.Generator) -> Strike | None:
+def strike_memory(at: Standing, fault: FaultSpec, draw: np.random.Generator) -> Strike | None:
     """Change memory that the instruction reads or writes.
 
     :raises AddressError: if it is not there or cannot be written.
     """
     eligible = [
         (one, among)
-        for one in site.instruction.memory
+        for one in at.instruction.memory
         if fault.operand in ("any", one.role) and (among := groups(fault, one.width_bits, one.element_bits))
     ]
     if not eligible:
         return None
     access, among = eligible[int(draw.integers(len(eligible)))]
     bits = draw_bits(fault, among, draw)
-    address = address_of(access, site.registers)
+    address = address_of(access, at.registers)
     if access.role == "destination":
-        site.execute()
+        at.execute()
     size = access.width_bits // 8
-    before = int.from_bytes(site.process.read_memory(address, size), "little")
+    before = int.from_bytes(at.process.read_memory(address, size), "little")
     after = struck(fault, before, bits)
-    site.process.write_memory(address, after.to_bytes(size, "little"))
-    read_back = int.from_bytes(site.process.read_memory(address, size), "little")
+    at.process.write_memory(address, after.to_bytes(size, "little"))
+    read_back = int.from_bytes(at.process.read_memory(address, size), "little")
     found = Strike(
         "injected",
-        instruction=site.instruction,
+        instruction=at.instruction,
         operand=access.role,
         address=address,
         width_bits=access.width_bits,
@@ -147,23 +147,23 @@ def address_of(access: MemoryAccess, registers: Registers) -> int:
     return (address + registers.get(access.segment)) % 2**64 if access.segment else address
 
 
-def strike_opcode(site: Site, fault: FaultSpec, draw: np.random.Generator) -> Strike | None:
+def strike_opcode(at: Standing, fault: FaultSpec, draw: np.random.Generator) -> Strike | None:
     """Have another instruction executed in its place, once.
 
     :raises AddressError: if its bytes cannot be changed, or not be restored.
     """
-    corrupted = corrupt(site.instruction, site.process, fault, draw)
+    corrupted = corrupt(at.instruction, at.process, fault, draw)
     if corrupted is None:
         return None
-    read_back, reason = execute(site.tracees, site.thread, site.process, site.instruction, corrupted)
+    read_back, reason = execute(at.tracees, at.thread, at.process, at.instruction, corrupted)
     found = Strike(
         "injected",
         reason,
-        site.instruction,
-        address=site.instruction.address,
+        at.instruction,
+        address=at.instruction.address,
         width_bits=8 * len(corrupted.code),
         bits=corrupted.bits,
-        before=int.from_bytes(site.instruction.code, "little"),
+        before=int.from_bytes(at.instruction.code, "little"),
         after=int.from_bytes(corrupted.code, "little"),
         read_back=int.from_bytes(read_back, "little"),
         instruction_after=corrupted.text,
@@ -171,7 +171,7 @@ def strike_opcode(site: Site, fault: FaultSpec, draw: np.random.Generator) -> St
     return _judged(fault, "the code did not take the change", found)
 
 
-ACTS: dict[str, Callable[[Site, FaultSpec, np.random.Generator], Strike | None]] = {
+ACTS: dict[str, Callable[[Standing, FaultSpec, np.random.Generator], Strike | None]] = {
     "bitflip": strike_register,
     "stuck_at": strike_register,
     "none": strike_register,

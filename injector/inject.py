@@ -58,7 +58,7 @@ class TargetError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Site:
+class Standing:
     """A thread that stands before an instruction, all others standing too."""
 
     tracees: Tracees = field(repr=False)

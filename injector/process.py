@@ -96,14 +96,12 @@ class Maps:
         index = bisect_right(self._lines, address, key=lambda line: int(line.partition("-")[0], 16)) - 1
         if index < 0:
             return None
-        found = _mapping(self._lines[index])
-        return found if address < found.end else None
+        mapping = _mapping(self._lines[index])
+        return mapping if address < mapping.end else None
 
-    def executable(self) -> Iterator[Mapping]:
-        """The pieces that code may be run from."""
-        for line in self._lines:
-            if line.split(maxsplit=2)[1][2] == "x":
-                yield _mapping(line)
+    def code(self) -> Iterator[Mapping]:
+        """The pieces that may be executed."""
+        return (_mapping(line) for line in self._lines if "x" in line.split(maxsplit=2)[1])
 
 
 def _mapping(line: str) -> Mapping:

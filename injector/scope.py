@@ -26,13 +26,13 @@ def within(fault: FaultSpec, process: Process) -> Callable[[int], bool]:
 
 
 def code_ranges(maps: Maps, modules: tuple[str, ...]) -> list[tuple[int, int]]:
-    """Where a kernel's own code lies, in order: in files whose names begin with one of ``modules``.
+    """Where a kernel's own code lies, in order.
 
-    A kernel that names none is compiled by numba, whose code lies in executable memory without a file.
-    Every such kernel of the process is in it, and what else is compiled at run time.
+    That is in files whose names begin with one of ``modules``, and in executable memory without a file,
+    where numba's code is: of every kernel of the process, and what else is compiled at run time.
     """
     return [
         (one.start, one.end)
-        for one in maps.executable()
-        if (Path(one.path).name.startswith(modules) if modules else not one.name)
+        for one in maps.code()
+        if not one.name or (modules and Path(one.path).name.startswith(modules))
     ]

@@ -8,7 +8,7 @@ import numpy as np
 
 from injector.acts import ACTS
 from injector.freeze import Thread, Tracees
-from injector.inject import Site, Strike, TargetError, stand
+from injector.inject import Standing, Strike, TargetError, stand
 from injector.process import AddressError, CodeError, Process
 from injector.ptrace import GoneError
 from injector.scope import within
@@ -19,6 +19,9 @@ SITES = 1000
 
 OUTSIDE = 20_000
 """Instructions outside the scope that are passed over before we give up: a second, at worst."""
+
+LINGER = 256
+"""Most instructions of the scope that are passed over on coming into it: it is not always to be the first."""
 
 
 def strike(
@@ -34,23 +37,27 @@ def strike(
     stepped). That is no user instruction; the thread must run on first.
     """
     inside = within(fault, process)
-    without = outside = 0
+    without = outside = lingered = linger = 0
     try:
         while without < SITES and outside < OUTSIDE:
             registers, instruction = stand(thread, process)
             if registers.in_system_call or not instruction.steppable:
                 return None
-            site = Site(tracees, thread, process, registers, instruction)
-            if inside(instruction.address):
-                found = ACTS[fault.model](site, fault, draw)
-                if found is not None:
-                    return replace(found, passed_over=without + outside)
-                without += 1
-            else:
+            standing = Standing(tracees, thread, process, registers, instruction)
+            if not inside(instruction.address):
+                linger = linger if outside else int(draw.integers(LINGER + 1))
                 outside += 1
-            site.execute()
-    except (TargetError, GoneError, AddressError, CodeError) as error:
-        return Strike("failed", f"before the fault: {error}", passed_over=without + outside)
+            elif lingered < linger:
+                lingered += 1
+            elif found := ACTS[fault.model](standing, fault, draw):
+                return replace(found, passed_over=without + outside + lingered)
+            else:
+                without += 1
+            standing.execute()
+    except (TargetError, GoneError, CodeError) as error:
+        return Strike("failed", f"before the fault: {error}", passed_over=without + outside + lingered)
+    except AddressError as error:
+        return Strike("failed", str(error), passed_over=without + outside + lingered)
     what = "nothing eligible" if without == SITES else "none of the kernel's own code"
-    count = SITES if without == SITES else OUTSIDE
-    return Strike("not_activated", f"{what} in {count} instructions", passed_over=without + outside)
+    reason = f"{what} in {SITES if without == SITES else OUTSIDE} instructions"
+    return Strike("not_activated", reason, passed_over=without + outside + lingered)

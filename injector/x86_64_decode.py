@@ -11,6 +11,7 @@ from iced_x86 import (
     CodeSize,
     Formatter,
     FormatterSyntax,
+    MemorySize,
     MemorySizeExt,
     Mnemonic,
     OpAccess,
@@ -44,6 +45,7 @@ _STATUS = {
 """The bit of rflags that each status flag of iced stands for."""
 
 _ELEMENT_BITS = {"SS": 32, "SD": 64, "PS": 32, "PD": 64}
+_FLOATS = {MemorySize.FLOAT32: 32, MemorySize.FLOAT64: 64}
 _FLOATING = re.compile(r"(?!V?(?:P|4F|BROADCAST|GATHER|SCATTER|MASKMOV))\w+([SP][SD])")
 _PACKED_MOVE = re.compile(r"V?MOV(?!MSK)\w*P[SD]|V?MOV(HL|LH)PS")
 _CONVERSION = re.compile(r"V?CVTT?(\w+)2(\w+)")
@@ -174,12 +176,14 @@ def _memory(instruction: iced_x86.Instruction, info: iced_x86.InstructionInfo) -
         if used.access not in _SURE or used.vsib_size or not 0 < size <= _LARGEST_WORD:
             continue
         segment = _name(used.segment) if used.segment else ""
+        moved = _PACKED_MOVE.fullmatch(_NAMES[instruction.mnemonic])
+        element = 0 if moved else _FLOATS.get(MemorySizeExt.element_type(used.memory_size), 0)
         for role, roles in (("source", _READS), ("destination", _WRITES)):
             if used.access in roles:
                 yield MemoryAccess(
                     role,  # type: ignore[arg-type]
                     8 * size,
-                    _element(instruction.mnemonic, role)[0],  # type: ignore[arg-type]
+                    element,
                     _name(used.base) if used.base else "",
                     _name(used.index) if used.index else "",
                     used.scale,

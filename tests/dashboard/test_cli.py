@@ -79,6 +79,8 @@ def test_a_machine_that_forbids_tracing_is_told_before_anything_starts() -> None
         ('name = "x"\nruns = 0\narms = [{name = "a"}]', "runs"),
         ('name = "x"\nruns = 1\narms = []', "arms"),
         ('name = "x"\nruns = 1\nwings = 2\narms = [{name = "a"}]', "wings"),
+        ('name = "x"\nruns = 1\n[[arms]]\nname = "a"\nfault = {target = "pid", field = "nose"}', "field"),
+        ('name = "x"\nruns = 1\n[[arms]]\nname = "a"\nfault = {target = "pid", model = "stuck_at"}', "stuck"),
         ('name = "../x"\nruns = 1\narms = [{name = "a"}]', "name"),
         ('name = "x"\nruns = 1\narms = [{name = "a"}, {name = "a"}]', "arms"),
         ('name = "x"\nruns = 1\narms = [{name = "a", fault = {target = "teapot"}}]', "teapot"),

@@ -1,6 +1,7 @@
 """AArch64 on recorded bytes and register images: what a Cortex-A would show, without one."""
 
 import struct
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import pytest
@@ -10,6 +11,7 @@ from injector.aarch64_decode import decode
 from injector.decode import DecodeError, MemoryAccess, Role
 from injector.ptrace import NT_PRSTATUS, PtraceError
 from injector.registers import UnknownRegisterError
+from services.bus.rng import generator
 
 GENERAL = [0x0123456789ABCDEF * (number + 1) % 2**64 for number in range(32)]
 PC, PSTATE = 0xFFFF_8000_1234, 0x6000_1000
@@ -157,6 +159,7 @@ MEMORY = {
     "fd7bc1a8": [MemoryAccess(SOURCE, 128, base="sp")],  # ldp x29,x30,[sp],#16
     "20e0c03c": [MemoryAccess(SOURCE, 128, base="x1", displacement=14)],  # ldur q0,[x1,#14]
     "3f0000b9": [MemoryAccess(DESTINATION, 32, base="x1")],  # str wzr,[x1]
+    "20408085": [],  # ldr z0,[x1]: of SVE
     "20fc5f88": [],  # ldaxr: exclusive
     "2000028b": [],  # add
 }
@@ -180,11 +183,19 @@ def test_memory_that_is_accessed(code: str, expected_accesses: list[MemoryAccess
     assert list(decode(bytes.fromhex(code), 0x1000).memory) == expected_accesses
 
 
-def test_every_register_that_is_decoded_can_be_read() -> None:
-    registers = Image().registers()
-    for code in [*ACCESSES, *MEMORY]:
-        for one in decode(bytes.fromhex(code), 0x1000).candidates:
-            registers.get(one.register)
+def test_whatever_is_decoded_can_be_read() -> None:
+    registers, draw, decoded = Image().registers(), generator(1, "code"), 0
+    while decoded < 5000:
+        with suppress(DecodeError):
+            found = decode(draw.bytes(4), 0x1000)
+            decoded += 1
+            for one in found.candidates:
+                registers.get(one.register)
+                assert one.width_bits % (one.element_bits or 1) == 0
+            for access in found.memory:
+                assert access.width_bits > 0
+                for name in filter(None, (access.base, access.index)):
+                    registers.get(name)
 
 
 def test_a_system_call_is_not_stepped() -> None:

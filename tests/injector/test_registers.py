@@ -13,6 +13,7 @@ from iced_x86 import Code, Instruction, Register
 from injector import xstate
 from injector.architecture import HOST, AbsentError, require
 from injector.freeze import Tracees
+from injector.ptrace import NT_PRSTATUS, read_registers
 from injector.registers import UnknownRegisterError
 from injector.x86_64 import GENERAL as PARTS
 from injector.x86_64 import STATUS_FLAGS, X8664Registers, register_classes
@@ -154,17 +155,24 @@ def test_every_status_flag_arrives(bit: int, was: int) -> None:
 
 
 def test_the_rest_of_the_flags_register_is_not_the_faults() -> None:
+    status = sum(1 << one for one in STATUS_FLAGS)
     with running(assemble()) as target:
         target.start(GENERAL_VALUES)
         with standing(target):
-            registers = X8664Registers(target.pid)
-            registers.put("rflags", 2**64 - 1)
-            registers.commit()
-            assert X8664Registers(target.pid).get("rflags") == sum(1 << one for one in STATUS_FLAGS)
-            registers.put("rflags", 0)  # the direction flag would turn what comes
-            registers.commit()
-        target.finish()  # in single steps, or without interrupts, it would not come so far
+            rest = flags_register(target.pid) & ~status
+            for value in (2**64 - 1, 0):  # the last, as the direction flag would turn what comes
+                registers = X8664Registers(target.pid)
+                registers.put("rflags", value)
+                registers.commit()
+                assert X8664Registers(target.pid).get("rflags") == value & status
+                assert flags_register(target.pid) == rest | value & status
+        target.finish()
         assert target.general() == GENERAL_VALUES
+
+
+def flags_register(tid: int) -> int:
+    """All of it: the 19th of 27 words of struct user_regs_struct."""
+    return int.from_bytes(read_registers(tid, NT_PRSTATUS, 27 * 8)[18 * 8 : 19 * 8], "little")
 
 
 def test_the_upper_half_of_a_vector_register_that_was_never_used_arrives() -> None:

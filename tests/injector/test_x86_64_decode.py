@@ -1,9 +1,13 @@
 """Decoding names every register that an instruction accesses, in which role, and how wide."""
 
+from contextlib import suppress
+
 import pytest
 
 from injector.decode import Candidate, DecodeError, MemoryAccess, Role
+from injector.x86_64 import GENERAL, MASK, VECTOR
 from injector.x86_64_decode import decode
+from services.bus.rng import generator
 
 LENGTHS = {
     1: "90",
@@ -124,6 +128,12 @@ MEMORY = {
     "c5fc5807": [MemoryAccess(SOURCE, 256, 32, base="rdi")],  # vaddps ymm0,ymm0,[rdi]
     "62f1fd585807": [MemoryAccess(SOURCE, 64, 64, base="rdi")],  # vaddpd zmm0,zmm0,[rdi]{1to8}
     "a4": [MemoryAccess(DESTINATION, 8, base="rdi"), MemoryAccess(SOURCE, 8, base="rsi")],  # movsb
+    "a5": [
+        MemoryAccess(DESTINATION, 32, base="rdi"),
+        MemoryAccess(SOURCE, 32, base="rsi"),
+    ],  # movsd
+    "dd07": [MemoryAccess(SOURCE, 64, 64, base="rdi")],  # fld qword ptr [rdi]
+    "0f1007": [MemoryAccess(SOURCE, 128, base="rdi")],  # movups moves anything
     "f3a4": [],  # rep movsb may do nothing
     "488d07": [],  # lea
     "0f1f00": [],  # nop [rax]
@@ -163,6 +173,22 @@ def test_what_a_vector_is_taken_for(code: str, expected: set[tuple[str, int]]) -
 @pytest.mark.parametrize(("code", "expected"), MEMORY.items())
 def test_memory_that_is_accessed(code: str, expected: list[MemoryAccess]) -> None:
     assert list(decode(bytes.fromhex(code), 0x1000).memory) == expected
+
+
+def test_whatever_is_decoded_has_a_name_that_can_be_read() -> None:
+    known = {*GENERAL, *VECTOR, *MASK, "rflags", "fs_base", "gs_base", ""}
+    prefixes = [b"", b"\x62", b"\xc5", b"\xc4", b"\x0f", b"\x66", b"\xf2"]  # EVEX, VEX and the like
+    draw, decoded = generator(1, "code"), 0
+    while decoded < 5000:
+        code = prefixes[int(draw.integers(len(prefixes)))] + draw.bytes(15)
+        with suppress(DecodeError):
+            found = decode(code[:15], 0x1000)
+            decoded += 1
+            widths = [(one.width_bits, one.element_bits) for one in found.candidates]
+            widths += [(one.width_bits, one.element_bits) for one in found.memory]
+            assert all(width > 0 and width % (element or 1) == 0 for width, element in widths)
+            assert {one.register for one in found.candidates} <= known
+            assert all({one.base, one.index, one.segment} <= known for one in found.memory)
 
 
 def test_text_is_intel_syntax() -> None:
