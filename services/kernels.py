@@ -30,6 +30,7 @@ _TABLE = (
     Kernel("rrt", "planning", "services.planning.planners:plan", ("libompl",)),
     Kernel("rrt_connect", "planning", "services.planning.planners:plan", ("libompl",)),
     Kernel("rrt_star", "planning", "services.planning.planners:plan", ("libompl",)),
+    Kernel("prm_star", "planning", "services.planning.planners:plan", ("libompl",)),
     Kernel("trajectory", "planning", "services.planning.trajectory:trajectory"),
     Kernel("pid", "control", "services.control.pid:pid"),
 )
