@@ -55,6 +55,7 @@ def zenfi() -> None:
 
 
 @zenfi.command()
+@click.option("--mission", default="navigation", show_default=True, help="What to do; see docs/missions.md.")
 @click.option("--world", default="sparse", show_default=True, metavar="NAME|FILE.toml", help="Where to fly.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
 @click.option("--airframe", default="airsim", show_default=True, metavar="NAME|FILE.toml", help="What flies.")

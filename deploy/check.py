@@ -9,8 +9,9 @@ from pydantic import ValidationError
 from deploy.platform import load_platform
 from injector.preflight import check as preflight
 from services.bus.mission import MissionSpec
-from services.kernels import KERNELS, PLANNERS
+from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS
 from sim.airframe import airframe
+from sim.area import corners
 from sim.world import make_world
 
 
@@ -25,7 +26,9 @@ def check(spec: MissionSpec) -> None:
     """
     _known("planner", spec.planner, PLANNERS)
     try:
-        make_world(spec.world, spec.seed)
+        world = make_world(spec.world, spec.seed)
+        if spec.mission != "navigation":
+            corners(spec.area, world)
         airframe(spec.airframe)
         load_platform(spec.platform)
     except ValueError as error:
@@ -36,6 +39,9 @@ def check(spec: MissionSpec) -> None:
     _known("kernel", target, KERNELS)
     if target in PLANNERS and target != spec.planner:
         message = f"kernel {target!r} never runs with planner {spec.planner!r}: choose --planner {target}"
+        raise BadSpecError(message)
+    if target in GOAL_KERNELS.values() and target != GOAL_KERNELS.get(spec.mission):
+        message = f"kernel {target!r} never runs in mission {spec.mission!r}"
         raise BadSpecError(message)
     for finding in preflight():
         if not finding.ok:

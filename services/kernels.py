@@ -31,6 +31,8 @@ _TABLE = (
     Kernel("rrt_connect", "planning", "services.planning.planners:plan", ("libompl",)),
     Kernel("rrt_star", "planning", "services.planning.planners:plan", ("libompl",)),
     Kernel("prm_star", "planning", "services.planning.planners:plan", ("libompl",)),
+    Kernel("lawn_mower", "planning", "services.planning.sweep:lawn_mower"),
+    Kernel("frontier", "planning", "services.planning.frontier:frontier"),
     Kernel("trajectory", "planning", "services.planning.trajectory:trajectory"),
     Kernel("pid", "control", "services.control.pid:pid"),
 )
@@ -41,3 +43,8 @@ PLANNERS: tuple[str, ...] = tuple(
     name for name, kernel in KERNELS.items() if kernel.entry.endswith("planners:plan")
 )
 """The kernels that a mission chooses one of."""
+
+GOAL_KERNELS: Mapping[str, str] = MappingProxyType(
+    {"scanning": "lawn_mower", "mapping": "frontier", "search": "frontier"}
+)
+"""The kernel that chooses the goals of a mission; the other missions have theirs given."""

@@ -55,6 +55,21 @@ def state(message: Odometry) -> State:
     return State(xyz(pose.position), xyz(message.twist.twist.linear), attitude, yaw)
 
 
+class Place(NamedTuple):
+    """Where a mission flies: its goal, and if it says so its start and area; (3,) each, world frame."""
+
+    goal: Floats
+    start: Floats
+    lower: Floats
+    upper: Floats
+
+
+def place(goal: Any, task: Any) -> Place:
+    """What a goal message and a task message, or None, say; without a task all is at the goal."""
+    ends = [xyz(goal.position)] * 3 if task is None else [xyz(task.start), xyz(task.lower), xyz(task.upper)]
+    return Place(xyz(goal.position), *ends)
+
+
 POINT_FIELDS = 12
 """Numbers of one trajectory point: t, x y z, vx vy vz, ax ay az, yaw, blocking_yaw."""
 
