@@ -20,7 +20,8 @@ _MOST_JITTER = 0.95
 
 
 def measure(server: ForkServer, flights: int) -> PlatformDefinition:
-    """Fly golden flights in Dense with each planner, and of each mission with a kernel; mean and deviation of each kernel's thread time.
+    """Fly golden flights in Dense with each planner, and of each mission that has a kernel of its own;
+    mean and deviation of each kernel's thread time.
 
     :raises InfrastructureError: if a kernel never ran.
     """
@@ -39,7 +40,8 @@ def measure(server: ForkServer, flights: int) -> PlatformDefinition:
         message = f"{', '.join(missing)} never ran in {flights} flights per planner and mission"
         raise InfrastructureError(message)
     source = (
-        f"Measured on this {machine.machine()} machine: thread time, flights per planner and mission in Dense: {flights}."
+        f"Measured on this {machine.machine()} machine: thread time,"
+        f" flights per planner and mission in Dense: {flights}."
     )
     return PlatformDefinition(
         name="host", source=source, kernels={kernel: latency(uses[kernel]) for kernel in KERNELS}
