@@ -56,10 +56,13 @@ def zenfi() -> None:
 
 
 @zenfi.command()
+@click.option("--mission", default="navigation", show_default=True, help="What to do; see docs/missions.md.")
 @click.option("--world", default="sparse", show_default=True, metavar="NAME|FILE.toml", help="Where to fly.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
 @click.option("--airframe", default="airsim", show_default=True, metavar="NAME|FILE.toml", help="What flies.")
-@click.option("--planner", default="rrt_star", show_default=True, help="rrt, rrt_connect or rrt_star.")
+@click.option(
+    "--planner", default="rrt_star", show_default=True, help="rrt, rrt_connect, rrt_star or prm_star."
+)
 @click.option(
     "--platform",
     default="i9-9940x",

@@ -33,6 +33,8 @@ def outcome(one: Outcome) -> Table:
     ):
         cells = [_number(getattr(qof, field), unit) for qof in (one.qof, golden) if qof is not None]
         table.add_row(label, *cells)
+    if one.qof.coverage is not None:
+        table.add_row("coverage", f"{one.qof.coverage:.0%}")
     table.add_row("wall time", f"{one.wall_s:.2f} s")
     for stage, report in one.nodes.items():
         told = [*report.causes, *_counted(report)]

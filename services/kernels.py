@@ -108,6 +108,25 @@ _TABLE = (
     _planner("rrt"),
     _planner("rrt_connect"),
     _planner("rrt_star"),
+    _planner("prm_star"),
+    Kernel(
+        "lawn_mower",
+        "planning",
+        "services.planning.sweep:lawn_mower",
+        (),
+        "Sweep",
+        (0.1,),
+        "m at each end of a lane",
+    ),
+    Kernel(
+        "frontier",
+        "planning",
+        "services.planning.frontier:frontier",
+        (),
+        "Frontier",
+        (0.1,),
+        "m: the place to explore next",
+    ),
     Kernel(
         "trajectory",
         "planning",
@@ -144,3 +163,8 @@ PLANNERS: tuple[str, ...] = tuple(
     name for name, kernel in KERNELS.items() if kernel.entry.endswith("planners:plan")
 )
 """The kernels that a mission chooses one of."""
+
+GOAL_KERNELS: Mapping[str, str] = MappingProxyType(
+    {"scanning": "lawn_mower", "mapping": "frontier", "search": "frontier"}
+)
+"""The kernel that chooses the goals of a mission; the other missions have theirs given."""

@@ -91,6 +91,32 @@ def sound_goal(message: Any) -> Any:
     return message
 
 
+def sound_task(message: Any) -> Any:
+    """The task message itself.
+
+    :raises MalformedMessageError: if it lies out of this world.
+    """
+    corners = message.start, message.lower, message.upper
+    if not np.abs([xyz(corner) for corner in corners]).max() <= FARTHEST_M:
+        raise MalformedMessageError(f"task: {message.start}, {message.lower}, {message.upper}")
+    return message
+
+
+class Place(NamedTuple):
+    """Where a mission flies: its goal, and if it says so its start and area; (3,) each, world frame."""
+
+    goal: Floats
+    start: Floats
+    lower: Floats
+    upper: Floats
+
+
+def place(goal: Any, task: Any) -> Place:
+    """What a goal message and a task message, or None, say; without a task all is at the goal."""
+    ends = [xyz(goal.position)] * 3 if task is None else [xyz(task.start), xyz(task.lower), xyz(task.upper)]
+    return Place(xyz(goal.position), *ends)
+
+
 POINT_FIELDS = 12
 """Numbers of one trajectory point: t, x y z, vx vy vz, ax ay az, yaw, blocking_yaw."""
 

@@ -143,6 +143,18 @@ class Limits(Strict):
     hang_cpu_s: float = Field(default=3.0, gt=0, le=600, description="thread time within one step")
 
 
+class Area(Strict):
+    """The level rectangle that a mission covers: corners (x, y) in the world frame.
+
+    A corner that is left out follows from the world's start and goal (:func:`sim.area.corners`).
+    """
+
+    lower: tuple[float, float] | None = None
+    upper: tuple[float, float] | None = None
+    swath_m: float = Field(default=8.0, ge=1, le=50, description="width that one pass of a sweep covers")
+    coverage: float = Field(default=0.9, gt=0, le=1, description="covered part of the area that is enough")
+
+
 class MissionSpec(Strict):
     """Everything that a flight depends on: same specification, same bytes.
 
@@ -150,6 +162,8 @@ class MissionSpec(Strict):
     specification is written, ``profile`` stands for the fields of a profile that it leaves out.
     """
 
+    mission: Literal["navigation", "scanning", "mapping", "search", "delivery"] = "navigation"
+    area: Area = Area()
     world: World = "sparse"
     seed: Seed = Field(default=0, ge=0, lt=2**32)
     airframe: Airframe = "airsim"

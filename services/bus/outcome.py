@@ -25,6 +25,7 @@ class QoF(Strict):
     missions_per_charge: float = Field(description="such flights that a full battery holds; 0 if it failed")
     replans: int
     min_clearance_m: float = Field(description="smallest distance from the hull to any obstacle")
+    coverage: float | None = Field(default=None, description="covered part of the area, if there is one")
 
 
 NO_FLIGHT = QoF(

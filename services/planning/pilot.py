@@ -33,6 +33,9 @@ _NEXT_RESORT: Mapping[Resort, Resort] = MappingProxyType(
 )
 
 _SEQ_MAX = 2**32 - 1
+GOAL_FAILURES_MAX = 6
+"""Failed plans after which a goal is given up, if the mission has another: two rounds of resorts."""
+
 _STRAYED_M = 2.5  # farther off the trajectory than any gust or lag: it is not being flown
 _ARRIVED_M = 0.5
 _RETREAT_M = 4.0
@@ -83,7 +86,29 @@ class Navigator:
         self._retreating = False
         self._failures = 0
         self._resort: Resort = "none"
+        self._goal_failures = 0
         self._trail: deque[Floats] = deque(maxlen=64)
+
+    def arrival(self, now_s: float, position: Floats) -> bool | None:
+        """Whether the goal was reached (True) or is to be given up (False); None while it is flown to.
+
+        It is given up when the trajectory has ended somewhere else, as near as one gets to a goal that
+        is blocked, or when too many plans failed.
+        """
+        points = self._points
+        if points is not None and now_s >= points[-1, 0] and not self._retreating:
+            if np.linalg.norm(position - self._goal) <= _ARRIVED_M:
+                return True
+            if np.linalg.norm(position - points[-1, 1:4]) <= _ARRIVED_M:
+                return False
+        return False if self._goal_failures >= GOAL_FAILURES_MAX else None
+
+    def head_for(self, goal: Floats) -> None:
+        """Plan to another goal from now on."""
+        if np.array_equal(goal, self._goal):
+            return
+        self._goal, self._points = goal, None
+        self._goal_failures, self._resort, self._retreating = 0, "none", False
 
     def consider(
         self, now_s: float, position: Floats, velocity: Floats, yaw: float, verdict: Verdict
@@ -115,6 +140,7 @@ class Navigator:
         """
         if points is None:
             self._failures += 1
+            self._goal_failures += 1
             if not request.departure.velocity.any():
                 self._resort = _NEXT_RESORT[self._resort]
         else:

@@ -11,11 +11,16 @@ from numpy.typing import NDArray
 from services.bus import rng
 from services.bus.arrays import Plan, plan, xyz
 from services.bus.trial import NoSampleError, Output, Recording, Sample, cdr, decoded, numbers
+from services.planning.frontier import frontier
 from services.planning.pilot import Request
 from services.planning.planners import plan as find_path
+from services.planning.sweep import lawn_mower
 from services.planning.trajectory import Departure, trajectory
-from services.planning.voxels import NEAR, VoxelGrid, unpack
+from services.planning.voxels import NEAR, VoxelGrid, known, unpack
 
+_DETOUR = 1.05  # of the straight way, at least
+_SPACING_M = 4.0
+_AROUND_M = 15.0
 _MAPS = 8
 """Before a trajectory, among which is the one that it was planned in."""
 
@@ -39,7 +44,7 @@ def record(flight: Recording) -> Sample:
         seed = rng.native_seed(flight.spec.seed, "planner", made.trajectory_seq)
         for newest in reversed(known[-_MAPS:]):
             sample = _sample(flight, departure, goal, seed, cdr(newest))
-            if _gives(sample, made, flight.spec.planner) and not _straight_way_is_clear(sample):
+            if _gives(sample, made, flight.spec.planner) and _leads_around(sample):
                 return sample
     raise NoSampleError("no trajectory was planned in flight to lead around something")
 
@@ -81,9 +86,10 @@ def _gives(sample: Sample, made: Plan, planner: str) -> bool:
     return smoothing.rows is not None and np.array_equal(smoothing.rows, made.points)
 
 
-def _straight_way_is_clear(sample: Sample) -> bool:
-    grid = problem(sample)[0]
-    return grid.edge_clear(sample["departure"][1:4], sample["goal"])
+def _leads_around(sample: Sample) -> bool:
+    path = sample["path"]
+    legs = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    return bool(legs.sum() > _DETOUR * np.linalg.norm(path[-1] - path[0]))
 
 
 class Planner:
@@ -105,6 +111,46 @@ class Planner:
     def output(self) -> Output:
         """The path; without rows if there is none."""
         return numbers(np.empty((0, 3)) if self.path is None else self.path)
+
+
+class Sweep:
+    """The lanes over the space between the vehicle and its goal, and some more: their ends (2n, 3), m."""
+
+    def __init__(self, _: str, sample: Sample) -> None:
+        departure = problem(sample)[1]
+        self._low, self._high = _area(departure, sample["goal"])
+        self._start = departure.position
+        self.ends = np.empty((0, 3))
+
+    def run(self) -> None:
+        """Lay the lanes."""
+        self.ends = lawn_mower(self._low, self._high, self._start, _SPACING_M)
+
+    def output(self) -> Output:
+        """Their ends."""
+        return numbers(self.ends)
+
+
+class Frontier:
+    """The place from which to see more of that space: (1, 3), m."""
+
+    def __init__(self, _: str, sample: Sample) -> None:
+        self._grid, self._departure = problem(sample)
+        self._area = _area(self._departure, sample["goal"])
+        octomap = decoded("map", sample["map"])
+        box = _request(self._departure, sample["goal"]).box()
+        self._known = known(octomap.data.tobytes(), octomap.resolution, *box)
+        self.place = np.empty(0)
+
+    def run(self) -> None:
+        """Choose the place."""
+        grid = self._grid
+        around = grid.levels, self._known, grid.origin, grid.resolution_m
+        self.place = frontier(*around, *self._area, self._departure.position, np.empty((0, 3)))
+
+    def output(self) -> Output:
+        """The place; without rows if there is none."""
+        return numbers(self.place.reshape(-1, 3))
 
 
 class Smoothing:
@@ -129,6 +175,18 @@ def problem(sample: Sample) -> tuple[VoxelGrid, Departure]:
     """The grid to plan in, and the state to plan from."""
     row = sample["departure"]
     departure = Departure(float(row[0]), row[1:4], row[4:7], row[7:10], float(row[10]))
-    box = Request(departure, sample["goal"], 0, 0, NEAR, retreat=False).box()
     octomap = decoded("map", sample["map"])
+    box = _request(departure, sample["goal"]).box()
     return unpack(octomap.data.tobytes(), octomap.resolution, *box), departure
+
+
+def _request(departure: Departure, goal: NDArray[np.float64]) -> Request:
+    return Request(departure, goal, 0, 0, NEAR, retreat=False)
+
+
+def _area(departure: Departure, goal: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Corners (3,) of the space between vehicle and goal and ``_AROUND_M`` beside it, at one height."""
+    low = np.minimum(departure.position, goal) - _AROUND_M
+    high = np.maximum(departure.position, goal) + _AROUND_M
+    low[2] = high[2] = departure.position[2]
+    return low, high

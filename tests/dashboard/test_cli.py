@@ -34,6 +34,8 @@ def test_fly_prints_one_outcome() -> None:
     [
         (("fly", "--world", "nowhere"), "nowhere"),
         (("fly", "--planner", "crystal_ball"), "crystal_ball"),
+        (("fly", "--mission", "dancing"), "dancing"),
+        (("fly", "--fault", "instruction:frontier"), "never runs in mission 'navigation'"),
         (("fly", "--platform", "abacus"), "abacus"),
         (("fly", "--fault", "instruction:teapot"), "teapot"),
         (("fly", "--fault", "rrt_star"), "LEVEL:KERNEL"),
@@ -85,6 +87,7 @@ def test_a_machine_that_forbids_tracing_is_told_before_anything_starts() -> None
         ('name = "x"\nruns = 1\narms = [{name = "a"}, {name = "a"}]', "arms"),
         ('name = "x"\nruns = 1\narms = [{name = "a", fault = {target = "teapot"}}]', "teapot"),
         ('name = "x"\nruns = 1\nmission = {world = "nowhere"}\narms = [{name = "a"}]', "nowhere"),
+        ('name = "x"\nruns = 1\nmission = {mission = "dancing"}\narms = [{name = "a"}]', "dancing"),
     ],
 )
 def test_a_bad_campaign_is_refused_with_the_field_named(text: str, says: str, tmp_path: Path) -> None:
