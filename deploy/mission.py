@@ -213,6 +213,8 @@ class _Mission:
             self._end_ns = last.ready_ns
 
     def _stalled(self) -> None:
+        if any(one.alive and one.vitals.page["gated"] for one in self._supervisor.members.values()):
+            return  # scouts are under way; should the injector die of it, that is heard of
         if self._spec.fault is None:
             tails = "; ".join(
                 f"{one.process.name}: {one.log_tail}" for one in self._supervisor.members.values()
@@ -309,10 +311,13 @@ class _Mission:
                 reason="the flight ended before the kernel was called that often",
                 node=kernel.stage,
                 kernel=kernel.name,
-                invocation=fault.trigger.invocation if fault.trigger is not None else 0,
+                invocation=(fault.trigger.invocation if fault.trigger is not None else None) or 0,
             )
+        spec = self._spec
+        if fault is not None and injection is not None and injection.trigger is not None:
+            spec = spec.model_copy(update={"fault": fault.model_copy(update={"trigger": injection.trigger})})
         return Outcome(
-            spec=self._spec,
+            spec=spec,
             result=self._result,
             reason=self._reason,
             qof=self._qof if self._qof is not None else NO_FLIGHT,

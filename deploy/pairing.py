@@ -39,8 +39,8 @@ class Pairs:
             return self._golden(spec).outcome
         twin = self._golden(spec.model_copy(update={"fault": None}))
         fault = spec.fault
-        if fault.trigger is None:
-            fault = fault.model_copy(update={"trigger": draw_trigger(fault, twin.outcome)})
+        if fault.trigger is None or not fault.trigger.names_a_call:
+            fault = fault.model_copy(update={"trigger": draw_call(fault, twin.outcome)})
         return compare(fly(spec.model_copy(update={"fault": fault}), self._server), twin)
 
     def _golden(self, spec: MissionSpec) -> Flight:
@@ -52,11 +52,8 @@ class Pairs:
         return self._twins[key]
 
 
-def draw_trigger(fault: FaultSpec, golden: Outcome) -> Trigger:
-    """Draw when the fault strikes: a call of the kernel, and a moment of thread time within it.
-
-    The call is uniform over the golden twin's calls. The moment is uniform over the mean thread time
-    of a call, which differs a little from machine to machine: the record says ``cpu_time``.
+def draw_call(fault: FaultSpec, golden: Outcome) -> Trigger:
+    """Draw the call in which the fault strikes, over the golden twin's calls or its flight time.
 
     :raises NothingToInjectError: if the golden twin never ran the kernel.
     """
@@ -64,9 +61,13 @@ def draw_trigger(fault: FaultSpec, golden: Outcome) -> Trigger:
     if use is None:
         message = f"the golden flight never runs {fault.target}: nothing to inject into"
         raise NothingToInjectError(message)
+    wanted = fault.trigger if fault.trigger is not None else Trigger()
     draw = rng.generator(golden.spec.seed, f"trigger {fault.target}", fault.seed)
-    invocation = int(draw.integers(use.invocations))
-    return Trigger(invocation=invocation, cpu_ns=int(draw.random() * use.cpu_ns / use.invocations))
+    if wanted.over == "time":
+        moment = {"after_ns": int(draw.random() * golden.qof.flight_time_s * 1e9)}
+    else:
+        moment = {"invocation": int(draw.integers(use.invocations))}
+    return wanted.model_copy(update=moment)
 
 
 def compare(flight: Flight, twin: Flight) -> Outcome:

@@ -26,7 +26,7 @@ class Strike:
     ``not_activated``: no instruction offered an eligible register. ``failed``: see ``reason``.
     """
 
-    status: Literal["injected", "not_activated", "not_reached", "failed"]
+    status: Literal["injected", "not_activated", "not_reached", "diverged", "failed"]
     reason: str = ""
     instruction: Instruction | None = None
     candidate: Candidate | None = None

@@ -6,6 +6,7 @@ import mmap
 import os
 import select
 from bisect import bisect_right
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -86,12 +87,19 @@ class Maps:
         index = bisect_right(self._lines, address, key=lambda line: int(line.partition("-")[0], 16)) - 1
         if index < 0:
             return None
-        extent, _, offset, _, _, *path = self._lines[index].split(maxsplit=5)
-        start, end = (int(bound, 16) for bound in extent.split("-"))
-        if address >= end:
-            return None
-        name = path[0] if path and path[0].startswith("/") else ""
-        return Mapping(start, end, int(offset, 16), name)
+        mapping = _mapping(self._lines[index])
+        return mapping if address < mapping.end else None
+
+    def code(self) -> Iterator[Mapping]:
+        """The pieces that may be executed."""
+        return (_mapping(line) for line in self._lines if "x" in line.split(maxsplit=2)[1])
+
+
+def _mapping(line: str) -> Mapping:
+    extent, _, offset, _, _, *path = line.split(maxsplit=5)
+    start, end = (int(bound, 16) for bound in extent.split("-"))
+    name = path[0] if path and path[0].startswith("/") else ""
+    return Mapping(start, end, int(offset, 16), name)
 
 
 class Process:
@@ -195,11 +203,21 @@ def thread_count(pid: int) -> int:
 
 def has_ended(tid: int) -> bool:
     """Whether a thread is dead or gone, even if the rest of its process lives on."""
+    return _state(tid) in "ZX"
+
+
+def sleeps(tid: int) -> bool:
+    """Whether a thread waits in a system call (or is gone)."""
+    return _state(tid) in "SZX"
+
+
+def _state(tid: int) -> str:
+    """The one letter of proc_pid_stat(5); Z if the thread is gone."""
     try:
         stat = Path(f"/proc/{tid}/stat").read_text()
     except OSError:
-        return True
-    return stat.rpartition(")")[2].split()[0] in "ZX"
+        return "Z"
+    return stat.rpartition(")")[2].split()[0]
 
 
 def tracer_of(tid: int) -> int:

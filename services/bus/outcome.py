@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from services.bus.mission import MissionSpec
+from services.bus.mission import MissionSpec, Trigger
 from services.bus.model import Strict
 
 MissionResult = Literal["success", "collision", "no_path", "timeout", "stack_failure"]
@@ -42,7 +42,7 @@ NO_FLIGHT = QoF(
 class InjectionRecord(Strict):
     """One injection, in full. Register values are hexadecimal, least significant bit last."""
 
-    status: Literal["injected", "not_activated", "not_reached", "failed"]
+    status: Literal["injected", "not_activated", "not_reached", "diverged", "failed"]
     reason: str = Field(default="", description="why, where the status is not `injected`")
     mode: Literal["exact", "occurrence", "cpu_time"] = "cpu_time"
     node: str
@@ -66,6 +66,8 @@ class InjectionRecord(Strict):
     virtual_time_ns: int = 0
     pause_us: float = 0.0
     threads_stopped: int = 0
+    trigger: Trigger | None = Field(default=None, description="when it struck, for the same again")
+    scouts: int = Field(default=0, description="copies of the node that were run ahead to find the site")
     resampled: int = Field(default=0, description="candidate sites passed over: system call, no register")
 
 
