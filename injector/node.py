@@ -12,7 +12,8 @@ from typing import Any
 import zenoh
 
 from injector.scout import Scout, sent_ahead, survey
-from injector.session import Call, inject
+from injector.session import inject
+from injector.way import Call
 from services.bus import announce, rng, session
 from services.bus.announce import Announcement
 from services.bus.messages import Injection, encode

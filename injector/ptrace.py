@@ -77,10 +77,10 @@ class Report:
     """What a tracee reports: why it stands, or that it is gone.
 
     ``interrupted`` by :func:`interrupt` or newly attached; ``group_stop`` by a stop signal, of which
-    the whole process stands; ``new_thread`` after a clone, ``new_process`` after a fork;
-    ``step`` and ``timer`` are our own traps; ``gate`` is the signal by which a node marks where an armed call begins and ends (only
-    :class:`injector.freeze.Tracees` knows which); ``signal`` is about to be delivered unless the tracee
-    is resumed without it.
+    the whole process stands; ``new_thread`` after a clone, ``new_process`` after a fork; ``step`` and
+    ``timer`` are our own traps; ``gate`` is the signal by which a node marks where an armed call begins
+    and ends (only :class:`injector.freeze.Tracees` knows which); ``signal`` is about to be delivered
+    unless the tracee is resumed without it.
     """
 
     kind: Kind

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -216,7 +217,7 @@ def _breakable(process: Process, trace: Sequence[int]) -> list[bool]:
     Not where an instruction follows on itself, whose repetitions the processor may count as one pass,
     and not before a system call.
     """
-    repeating = {one for one, other in zip(trace, trace[1:], strict=False) if one == other}
+    repeating = {one for one, other in pairwise(trace) if one == other}
     steppable = {address: _steppable(process, address) for address in set(trace)}
     usable = [address not in repeating for address in trace]
     for at in range(len(trace) - 2, -1, -1):

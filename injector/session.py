@@ -2,49 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
-from injector.elf import locate, place
+from injector.elf import place
 from injector.freeze import Thread, Tracees
-from injector.inject import Strike, TargetError, stand, step, strike
-from injector.process import Identity, IdentityError, Maps, Process, VanishedError
-from injector.ptrace import GoneError, wait_until
-from injector.site import Seen, look
-from injector.trigger import Breakpoint, ThreadTimer, await_trap
+from injector.inject import Strike
+from injector.process import Identity, IdentityError, Process, VanishedError
+from injector.way import Call, Way
 from services.bus.announce import Announcement
-from services.bus.mission import FaultSpec, Site
+from services.bus.mission import FaultSpec
 from services.bus.node import GATE_SIGNAL
 from services.bus.outcome import InjectionRecord
-
-JITTER_STEPS = 64
-"""Most single steps after the trap: a trap strikes at an interrupt, and not at every instruction alike."""
-
-SYSTEM_CALLS = 16
-"""System calls met at the drawn moment that are let pass before we give up."""
-
-RERUN_NS = 100_000
-"""Longest thread time from a system call to the next attempt."""
-
-
-@dataclass(frozen=True, slots=True)
-class Call:
-    """The call of a kernel that a fault is aimed at, while it is under way.
-
-    ``armed`` is called once, when everybody is traced. A target that is ``marked`` tells by signals to
-    itself where the call begins and ends (``Node.kernel``), and its thread time counts from the first;
-    else it counts from ``armed`` on, and ``finished``, asked about every millisecond, tells the end.
-    """
-
-    target: Announcement
-    virtual_time_ns: int
-    armed: Callable[[], None]
-    finished: Callable[[], bool] = lambda: False
-    marked: bool = False
 
 
 def inject(
@@ -78,13 +49,8 @@ def inject(
         target = held.enter_context(Process(Identity.announced(call.target)))
         with Tracees(GATE_SIGNAL) as tracees:
             thread = _seize(tracees, target, bystanders, call.target.tid)
-            way = _Way(tracees, thread, target, call, fault, draw, limit_s)
-            try:
-                found = way.to_the_site(trigger.site) if trigger.site is not None else way.by_time()
-            except GoneError:
-                found = Strike("failed", "the target died before the fault")
-            except TargetError as error:
-                found = Strike("failed", f"before the fault: {error}")
+            way = Way(tracees, thread, target, call, fault, draw, limit_s)
+            found = way.to_the_fault()
         return _record(way, found)
 
 
@@ -102,125 +68,7 @@ def _seize(tracees: Tracees, target: Process, bystanders: Sequence[Process], tid
     return thread
 
 
-@dataclass
-class _Way:
-    """From the gate to the fault; ``maps`` are the target's at that moment, as a crash would take them away."""
-
-    tracees: Tracees
-    thread: Thread
-    target: Process
-    call: Call
-    fault: FaultSpec
-    draw: np.random.Generator
-    limit_s: float
-    maps: Maps = field(default_factory=lambda: Maps(""))
-    seen: Seen | None = None
-
-    def to_the_site(self, site: Site) -> Strike:
-        """Go to the place that a site names, see that it is the same, strike."""
-        self.call.armed()
-        if self.call.marked and not self._at_the_mark():
-            return Strike("failed", "the target never began the call")
-        self.tracees.quieten(self.thread)
-        if site.hit:
-            address = locate(self.target.pid, self.target.maps(), site.module, site.build_id, site.offset)
-            if address is None:
-                return Strike("diverged", f"no such code is loaded: {site.module} {site.build_id}")
-            with Breakpoint(self.thread, address, site.hit) as passes:
-                self.tracees.resume(self.thread)
-                end = self._await()
-                hits = passes.hits
-            if end == "finished":
-                return Strike("not_reached", f"the call ended after {hits} passes, before the {site.hit}th")
-            if end != "trapped":
-                return _missed(end, self.limit_s)
-        for taken in range(site.steps):
-            end = self.tracees.step(self.thread)
-            if end == "ended":
-                return Strike("not_reached", f"the call ended {taken} steps on the way of {site.steps}")
-            if end != "stepped":
-                return Strike("failed", f"before the fault: the thread {end}")
-        self.maps = self.target.maps()
-        self.seen = look(self.thread, self.target, self.maps)
-        for what, found, expected in (
-            ("instruction", self.seen.code, site.code),
-            ("registers", self.seen.registers, site.registers),
-        ):
-            if expected and found != expected:
-                return Strike("diverged", f"other {what} at the site: {found}, not {expected}")
-        return self._strike() or Strike("not_activated", "the site is a system call")
-
-    def by_time(self) -> Strike:
-        """Wait for the moment, and strike."""
-        trigger = self.fault.trigger
-        wait_ns = (trigger.cpu_ns if trigger is not None else None) or 0
-        self.call.armed()
-        if self.call.marked and not self._at_the_mark():
-            return Strike("failed", "the target never began the call")
-        for system_calls in range(SYSTEM_CALLS):
-            with ThreadTimer(self.thread, wait_ns) as timer:
-                self.tracees.resume_all()
-                end = self._await(timer.insist)
-                spent_ns = timer.spent_ns
-            if end == "finished" and system_calls:
-                return Strike("not_activated", "the call ended in a system call", passed_over=system_calls)
-            if end == "finished":
-                return Strike(
-                    "not_reached",
-                    f"the call ended after {spent_ns} ns of thread time, before {wait_ns} ns of it",
-                )
-            if end != "trapped":
-                return _missed(end, self.limit_s)
-            self.maps = self.target.maps()
-            _jitter(self.tracees, self.thread, self.target, int(self.draw.integers(JITTER_STEPS + 1)))
-            found = self._strike()
-            if found is not None:
-                return replace(found, passed_over=found.passed_over + system_calls)
-            wait_ns = int(self.draw.integers(RERUN_NS))
-        reason = f"met {SYSTEM_CALLS} system calls in a row"
-        return Strike("not_activated", reason, passed_over=SYSTEM_CALLS)
-
-    def _strike(self) -> Strike | None:
-        self.tracees.stop_all()
-        return strike(self.tracees, self.thread, self.target, self.fault, self.draw)
-
-    def _at_the_mark(self) -> bool:
-        """Let everybody run until the target stands at the beginning of the call."""
-
-        def there() -> bool | None:
-            self.tracees.service()
-            if self.thread.tid not in self.tracees.threads:
-                return False
-            return True if self.thread.report is not None and self.thread.report.kind == "gate" else None
-
-        return bool(wait_until(there, self.limit_s))
-
-    def _await(
-        self, insist: Callable[[], None] = lambda: None
-    ) -> Literal["trapped", "finished", "gone", "late"]:
-        return await_trap(self.tracees, self.thread, self.call.finished, self.limit_s, insist)
-
-
-def _missed(end: Literal["gone", "late"], limit_s: float) -> Strike:
-    """What it means that neither the moment nor the call's end came."""
-    if end == "gone":
-        return Strike("failed", "the target died before the fault")
-    return Strike("failed", f"neither the moment nor the call's end within {limit_s:g} s")
-
-
-def _jitter(tracees: Tracees, thread: Thread, target: Process, steps: int) -> None:
-    """Step on, but into no system call.
-
-    :raises TargetError: if the target does not come through.
-    """
-    for _ in range(steps):
-        registers, instruction = stand(thread, target)
-        if registers.in_system_call or not instruction.steppable:
-            return
-        step(tracees, thread, instruction)
-
-
-def _record(way: _Way, found: Strike) -> InjectionRecord:
+def _record(way: Way, found: Strike) -> InjectionRecord:
     call, fault, tracees, maps = way.call, way.fault, way.tracees, way.maps
     trigger = fault.trigger
     assert trigger is not None  # noqa: S101 - checked where the injection began
