@@ -31,6 +31,7 @@ from dashboard.campaigns.summary import summarise
 from dashboard.commands.bench import bench
 from dashboard.commands.options import as_json
 from dashboard.commands.redundancy import redundancy
+from dashboard.commands.replay import replay
 from dashboard.commands.world import world
 from deploy.check import BadSpecError, check, one_line
 from deploy.definitions import inlined
@@ -98,6 +99,7 @@ def _fault(text: str, seed: int) -> FaultSpec:
 
 zenfi.add_command(world)
 zenfi.add_command(bench)
+zenfi.add_command(replay)
 zenfi.add_command(redundancy)
 
 

@@ -90,6 +90,10 @@ class Maps:
         mapping = _mapping(self._lines[index])
         return mapping if address < mapping.end else None
 
+    def upper_halves(self) -> set[int]:
+        """The upper 32 bits of all addresses, where they are not 0."""
+        return {int(line.partition("-")[0], 16) >> 32 for line in self._lines} - {0}
+
     def code(self) -> Iterator[Mapping]:
         """The pieces that may be executed."""
         return (_mapping(line) for line in self._lines if "x" in line.split(maxsplit=2)[1])

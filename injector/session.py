@@ -11,6 +11,7 @@ from injector.elf import place
 from injector.freeze import Thread, Tracees
 from injector.inject import Strike
 from injector.process import Identity, IdentityError, Process, VanishedError
+from injector.site import holds_address
 from injector.way import Call, Way
 from services.bus.announce import Announcement
 from services.bus.mission import FaultSpec
@@ -111,6 +112,7 @@ def _record(way: Way, found: Strike) -> InjectionRecord:
             "register_name": found.candidate.register,
             "width_bits": width,
             "bits": [found.bit],
+            "holds_address": holds_address(maps, found.before, width),
             **{
                 name: f"{value:0{width // 4}x}"
                 for name, value in (

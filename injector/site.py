@@ -35,3 +35,11 @@ def look(thread: Thread, process: Process, maps: Maps) -> Seen:
     values = {name: registers.get(name) for name in _GENERAL}
     text = ",".join("address" if maps.at(value) is not None else f"{value:x}" for value in values.values())
     return Seen(instruction.code.hex(), hashlib.blake2b(text.encode(), digest_size=8).hexdigest())
+
+
+def holds_address(maps: Maps, value: int, width_bits: int) -> bool:
+    """Whether a value is an address of the process's memory, or the lower half of one, or two are in it."""
+    if width_bits == 32:
+        return any(maps.at(upper << 32 | value) is not None for upper in maps.upper_halves())
+    words = (value >> shift & 2**64 - 1 for shift in range(0, width_bits, 64))
+    return any(maps.at(word) is not None for word in words)

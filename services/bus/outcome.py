@@ -60,6 +60,7 @@ class InjectionRecord(Strict):
     register_name: str = Field(default="", alias="register")
     width_bits: int = 0
     bits: list[int] = []
+    holds_address: bool = Field(default=False, description="whether the register's value lies in memory")
     before: str = ""
     after: str = ""
     read_back: str = ""
