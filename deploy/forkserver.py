@@ -34,8 +34,11 @@ PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
 PR_SET_PTRACER = 0x59616D61
 ADDR_NO_RANDOMIZE = 0x0040000
-ZENOH_RUNTIME = "(acc: (handover: app), net: (handover: app), tx: (handover: app))"
-"""Three threads of Zenoh in a node instead of six: each one more is one more to stop for an injection."""
+ZENOH_RUNTIME = (
+    "(acc: (handover: app), net: (handover: app), tx: (handover: app), rx: (handover: app),"
+    " app: (worker_threads: 2))"
+)
+"""Two threads of Zenoh in a node instead of six: each one more is one more to stop for an injection."""
 
 EXIT_BUG = 70
 """Exit status of a node that ended by an exception (sysexits.h: EX_SOFTWARE)."""

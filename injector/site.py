@@ -1,4 +1,4 @@
-"""What tells a dynamic instruction from others: its bytes, and what is in the registers."""
+"""What tells a dynamic instruction from others: its bytes, and what it finds in its registers."""
 
 from __future__ import annotations
 
@@ -6,18 +6,13 @@ import hashlib
 from dataclasses import dataclass
 
 from injector.freeze import Thread
-from injector.inject import registers_of, stand
+from injector.inject import stand
 from injector.process import Maps, Process
-
-_GENERAL = (
-    *("rax", "rcx", "rdx", "rbx", "rsp", "rbp", "rsi", "rdi"),
-    *(f"r{number}" for number in range(8, 16)),
-)
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The bytes of the next instruction, and a hash of the general registers, both hexadecimal."""
+    """The bytes of the next instruction, and a hash of the registers that it reads, both hexadecimal."""
 
     code: str
     registers: str
@@ -27,13 +22,21 @@ def look(thread: Thread, process: Process, maps: Maps) -> Seen:
     """What a standing thread is about to do, in a form that is the same in every repetition of a flight.
 
     Of a register that holds an address only that is hashed: other threads' allocations move addresses.
+    Registers that the instruction does not read may hold what is left of a clock's reading.
 
     :raises TargetError: if the thread has been killed, or there is no instruction.
     """
-    _, instruction = stand(thread, process)
-    registers = registers_of(thread)
-    values = {name: registers.get(name) for name in _GENERAL}
-    text = ",".join("address" if maps.at(value) is not None else f"{value:x}" for value in values.values())
+    registers, instruction = stand(thread, process)
+    read = sorted(
+        (one.register, one.width_bits)
+        for one in instruction.candidates
+        if one.role == "source" and one.register_class == "gpr"
+    )
+    found = [(name, registers.get(name), width) for name, width in read]
+    text = ",".join(
+        f"{name}={'address' if holds_address(maps, value, width) else f'{value:x}'}"
+        for name, value, width in found
+    )
     return Seen(instruction.code.hex(), hashlib.blake2b(text.encode(), digest_size=8).hexdigest())
 
 

@@ -70,7 +70,7 @@ class Site(Strict):
     hit: int = Field(default=0, ge=0)
     steps: int = Field(default=0, ge=0)
     code: str = Field(default="", description="bytes of the instruction")
-    registers: str = Field(default="", description="hash of the general registers that hold no address")
+    registers: str = Field(default="", description="hash of those that it reads, addresses left out")
 
 
 class Trigger(Strict):
