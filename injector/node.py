@@ -11,6 +11,7 @@ from typing import Any
 
 import zenoh
 
+from injector.rehearsal import rehearse
 from injector.scout import Scout, sent_ahead, survey
 from injector.session import inject
 from injector.way import Call
@@ -34,6 +35,7 @@ def main(setup: NodeSetup, meeting: Meeting, _: Vitals) -> None:
     """Wait for the armed call, inject once, let everybody pass after that; end with the simulator."""
     fault = setup.spec.fault
     assert fault is not None  # noqa: S101 - the injector is started with a fault only
+    rehearse(fault)
     with session.open_session(meeting, setup.name) as bus:
         gate = Gate(bus, KERNELS[fault.target].stage)
         publisher = bus.declare_publisher(session.topic_key("injection"))
