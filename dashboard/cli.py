@@ -71,11 +71,18 @@ def zenfi() -> None:
 @click.option("--energy", default="airframe", show_default=True, help="airframe, regression or momentum.")
 @click.option("--fault", metavar="LEVEL:KERNEL", help="Flip one bit, e.g. instruction:rrt_star.")
 @click.option("--fault-seed", type=int, default=0, show_default=True, help="Seed of the fault.")
+@click.option(
+    "--fault-over",
+    type=click.Choice(["calls", "time"]),
+    default="calls",
+    show_default=True,
+    help="Draw the struck call over the kernel's calls or over the flight's time.",
+)
 @as_json
-def fly(fault: str | None, fault_seed: int, as_json: bool, **fields: Any) -> None:
+def fly(fault: str | None, fault_seed: int, fault_over: str, as_json: bool, **fields: Any) -> None:
     """Fly one mission; with --fault, its golden twin first."""
     if fault is not None:
-        fields["fault"] = _fault(fault, fault_seed)
+        fields["fault"] = _fault(fault, fault_seed, fault_over)
     spec = MissionSpec.model_validate(inlined(fields))
     check(spec)
     server = ForkServer()
@@ -89,12 +96,14 @@ def fly(fault: str | None, fault_seed: int, as_json: bool, **fields: Any) -> Non
         Console().print(tables.outcome(outcome))
 
 
-def _fault(text: str, seed: int) -> FaultSpec:
+def _fault(text: str, seed: int, over: str) -> FaultSpec:
     level, colon, target = text.partition(":")
     if not colon:
         message = f"--fault {text!r}: expected LEVEL:KERNEL, e.g. instruction:rrt_star"
         raise BadSpecError(message)
-    return FaultSpec.model_validate({"level": level, "target": target, "seed": seed})
+    return FaultSpec.model_validate(
+        {"level": level, "target": target, "seed": seed, "trigger": {"over": over}}
+    )
 
 
 zenfi.add_command(world)

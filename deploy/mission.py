@@ -233,6 +233,9 @@ class _Mission:
             if exited.status == EXIT_BUG and (self._spec.fault is None or member.process.essential):
                 message = f"{name}: {member.log_tail}"
                 raise InfrastructureError(message)
+            if name == "injector":
+                message = f"the injector died: {member.causes[-1]}"
+                raise InfrastructureError(message)
             self._catch_up(member)
             self._look_for_end()
             if member.process.essential:
@@ -256,9 +259,6 @@ class _Mission:
             self._take_in(LOOK_S)
 
     def _fail(self, name: str, member: Member) -> None:
-        if name == "injector":
-            message = f"the injector died: {member.causes[-1]}"
-            raise InfrastructureError(message)
         last = self._recorder.last("odometry")
         self._result = "stack_failure"
         self._reason = f"{name}: {member.causes[-1]}"

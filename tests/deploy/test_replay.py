@@ -1,5 +1,8 @@
 """An injected flight repeats from its own outcome, and says so when it cannot."""
 
+import os
+import signal
+import threading
 from pathlib import Path
 
 import pytest
@@ -7,11 +10,13 @@ from click.testing import CliRunner
 
 from dashboard.cli import zenfi
 from deploy.forkserver import ForkServer
+from deploy.mission import fly
 from deploy.pairing import Pairs
 from deploy.replay import replay
+from deploy.supervisor import InfrastructureError
 from services.bus.mission import FaultSpec, MissionSpec, Site, Trigger
 from services.bus.outcome import Outcome
-from tests.conftest import descendants
+from tests.conftest import descendants, node, wait_until
 
 SPEC = MissionSpec(seed=7, fault=FaultSpec(target="pid", register_class="vector", seed=2))
 
@@ -91,3 +96,39 @@ def test_what_is_no_outcome_is_refused(text: str, says: str, tmp_path: Path) -> 
     answer = CliRunner().invoke(zenfi, ["replay", str(file)])
     assert answer.exit_code != 0
     assert says in str(answer.exception)
+
+
+SCOUTED = MissionSpec(seed=7, fault=FaultSpec(target="point_cloud", trigger=Trigger(invocation=5)))
+
+
+def kill_while_scouting(victim: str) -> None:
+    """Kill the injector or the node once the node has sent a scout."""
+
+    def scouting() -> bool:
+        perception = node(os.getpid(), "perception")
+        return perception is not None and bool(descendants(perception))
+
+    wait_until(scouting)
+    pid = node(os.getpid(), victim)
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)
+
+
+def test_an_injector_that_is_killed_while_it_scouts_leaves_nobody(server: ForkServer) -> None:
+    killer = threading.Thread(target=kill_while_scouting, args=("injector",))
+    killer.start()
+    with pytest.raises(InfrastructureError, match="the injector died"):
+        fly(SCOUTED, server)
+    killer.join()
+    assert not descendants(server.pid)
+
+
+def test_a_node_that_is_killed_while_it_scouts_is_a_result(server: ForkServer) -> None:
+    killer = threading.Thread(target=kill_while_scouting, args=("perception",))
+    killer.start()
+    outcome = fly(SCOUTED, server).outcome
+    killer.join()
+    assert outcome.nodes["perception"].causes == ["SIGKILL"]
+    assert outcome.injection is not None
+    assert outcome.injection.status == "not_reached"
+    assert not descendants(server.pid)
