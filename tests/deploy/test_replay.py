@@ -1,5 +1,6 @@
 """An injected flight repeats from its own outcome, and says so when it cannot."""
 
+import json
 import os
 import signal
 import threading
@@ -73,6 +74,17 @@ def test_nothing_is_flipped_where_the_site_looks_otherwise(first: Outcome, serve
 def test_a_site_that_the_call_does_not_come_to_is_not_reached(first: Outcome, server: ForkServer) -> None:
     answer = replay(altered(first, hit=10**6), server)
     assert answer.answer == "not_reached"
+
+
+def test_the_command_answers_for_each_flight(first: Outcome, tmp_path: Path) -> None:
+    """As `fly` and as `campaign run` write them."""
+    other = altered(first, code="00")
+    lines = [first.model_dump_json(by_alias=True), f'{{"outcome": {other.model_dump_json(by_alias=True)}}}']
+    file = tmp_path / "flights.json"
+    file.write_text("\n".join([*lines, '{"summary": []}']))
+    answer = CliRunner().invoke(zenfi, ["replay", str(file), "--json"])
+    assert answer.exit_code == 1
+    assert [json.loads(line)["answer"] for line in answer.stdout.splitlines()] == ["replayed", "diverged"]
 
 
 def test_a_fault_at_a_time_of_the_flight_strikes_the_next_call(pairs: Pairs) -> None:
