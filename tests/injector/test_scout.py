@@ -171,6 +171,7 @@ def test_a_scout_dies_with_its_node() -> None:
         one.tell("scout")
         wait_until(lambda: bool(descendants(one.pid)))
         (pid,) = descendants(one.pid)
+        os.kill(pid, signal.SIGSTOP)  # it is not to end by itself
         one.process.kill()
         wait_until(lambda: not alive(pid))
 
