@@ -78,7 +78,7 @@ def steps_per_s() -> float:
             tracees.seize([child.pid])
             tracees.stop_all()
             begin = time.monotonic()
-            addresses, _ = tracees.trace(tracees.threads[child.pid], STEPS)
+            addresses = tracees.trace(tracees.threads[child.pid], STEPS)
             return len(addresses) / (time.monotonic() - begin)
     finally:
         child.kill()

@@ -284,15 +284,16 @@ class Tracees:
             if report.kind == "signal" and report.signal in _FAULTS:
                 return "faulted"
 
-    def trace(self, thread: Thread, most: int) -> tuple[list[int], bool]:
-        """Let a standing thread execute up to ``most`` instructions; where they lie, whether it was stopped.
+    def trace(self, thread: Thread, most: int) -> list[int]:
+        """Let a standing thread execute up to ``most`` instructions, until it reports; where they lie.
 
         Waits without end: for a thread that somebody kills if it hangs.
         """
         addresses, report = ptrace.trace(thread.tid, most)
+        thread.report = Report("step")
         if report is not None:
             self._take_in(thread, report)
-        return addresses, report is not None
+        return addresses
 
     def detach_all(self) -> None:
         """Let all threads run untraced, in the order in which they were seized.

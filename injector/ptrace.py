@@ -14,6 +14,7 @@ import signal
 import struct
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
@@ -191,9 +192,10 @@ def trace(tid: int, most: int) -> tuple[list[int], Report | None]:
     at_vector = ctypes.addressof(vector)
     addresses: list[int] = []
     for _ in range(most):
-        _call(_GETREGSET, tid, NT_PRSTATUS, at_vector)
-        addresses.append(_WORD.unpack_from(registers, _PROGRAM_COUNTER_AT)[0])
-        _call(_SINGLESTEP, tid)
+        with suppress(GoneError):  # killed; its end is reported next
+            _call(_GETREGSET, tid, NT_PRSTATUS, at_vector)
+            addresses.append(_WORD.unpack_from(registers, _PROGRAM_COUNTER_AT)[0])
+            _call(_SINGLESTEP, tid)
         _, status = os.waitpid(tid, _WALL)
         if status != _STOPPED_AT_TRAP:
             return addresses, _report(tid, status)

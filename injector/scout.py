@@ -82,10 +82,12 @@ class Scout:
         watchdog = threading.Timer(LIMIT_S, os.kill, (self.thread.pid, signal.SIGKILL))
         watchdog.start()
         try:
-            return self.tracees.trace(self.thread, most)
+            addresses = self.tracees.trace(self.thread, most)
         finally:
             watchdog.cancel()
             watchdog.join()
+        # One that was killed is no call that ended.
+        return addresses, self.thread.report is not None and self.thread.report.kind == "gate"
 
     def _await(
         self, finished: Callable[[], bool] = lambda: False, insist: Callable[[], None] = lambda: None

@@ -149,6 +149,17 @@ def test_the_same_site_is_found_again_by_what_was_seen_there() -> None:
     assert records[0].before == records[1].before
 
 
+def test_a_scout_that_had_to_be_killed_tells_of_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scouting, "LIMIT_S", 0.5)
+    with caller(10**9) as one:
+        with one.ahead() as scout:
+            addresses, ended = scout.trace(10**9)
+        assert addresses
+        assert not ended
+        with one.ahead() as scout:
+            assert scout.count(one.loop) == 0
+
+
 def test_the_rarest_address_of_a_trace_is_passed_last() -> None:
     with caller(1) as one, one.ahead() as scout:
         every, _ = scout.trace(3000)
