@@ -32,6 +32,7 @@ from dashboard.commands.bench import bench
 from dashboard.commands.fault import FORM, parse_fault
 from dashboard.commands.options import as_json
 from dashboard.commands.redundancy import redundancy
+from dashboard.commands.replay import replay
 from dashboard.commands.world import world
 from deploy.check import BadSpecError, check, one_line
 from deploy.definitions import inlined
@@ -75,11 +76,18 @@ def zenfi() -> None:
 @click.option("--energy", default="airframe", show_default=True, help="airframe, regression or momentum.")
 @click.option("--fault", metavar=FORM, help="Flip one bit, e.g. instruction:rrt_star,operand=source.")
 @click.option("--fault-seed", type=int, default=0, show_default=True, help="Seed of the fault.")
+@click.option(
+    "--fault-over",
+    type=click.Choice(["calls", "time"]),
+    default="calls",
+    show_default=True,
+    help="Draw the struck call over the kernel's calls or over the flight's time.",
+)
 @as_json
-def fly(fault: str | None, fault_seed: int, as_json: bool, **fields: Any) -> None:
+def fly(fault: str | None, fault_seed: int, fault_over: str, as_json: bool, **fields: Any) -> None:
     """Fly one mission; with --fault, its golden twin first."""
     if fault is not None:
-        fields["fault"] = parse_fault(fault, fault_seed)
+        fields["fault"] = parse_fault(fault, fault_seed, fault_over)
     spec = MissionSpec.model_validate(inlined(fields))
     check(spec)
     server = ForkServer()
@@ -95,6 +103,7 @@ def fly(fault: str | None, fault_seed: int, as_json: bool, **fields: Any) -> Non
 
 zenfi.add_command(world)
 zenfi.add_command(bench)
+zenfi.add_command(replay)
 zenfi.add_command(redundancy)
 
 

@@ -24,7 +24,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
+from numba.core import event as numba_event
+
 from deploy.stack import STACK, Process
+from injector.ward import ward_off_traps
 from services.bus.node import NodeSetup
 from services.bus.session import Meeting, topic_key
 from services.bus.topics import TOPICS
@@ -34,12 +37,16 @@ PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
 PR_SET_PTRACER = 0x59616D61
 ADDR_NO_RANDOMIZE = 0x0040000
-ZENOH_RUNTIME = "(acc: (handover: app), net: (handover: app), tx: (handover: app))"
-"""Three threads of Zenoh in a node instead of six: each one more is one more to stop for an injection."""
+ZENOH_RUNTIME = (
+    "(acc: (handover: app), net: (handover: app), tx: (handover: app), rx: (handover: app),"
+    " app: (worker_threads: 2))"
+)
+"""Two threads of Zenoh in a node instead of six: each one more is one more to stop for an injection."""
 
 EXIT_BUG = 70
 """Exit status of a node that ended by an exception (sysexits.h: EX_SOFTWARE)."""
 
+_AGAIN = "again"
 _MESSAGE_SIZE = 1 << 20
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -147,15 +154,24 @@ def _without_address_randomisation() -> None:
     current = _libc.personality(0xFFFFFFFF)
     if not current & ADDR_NO_RANDOMIZE:
         _libc.personality(current | ADDR_NO_RANDOMIZE)
-        os.execv(sys.executable, [sys.executable, "-m", "deploy.forkserver", *sys.argv[1:]])  # noqa: S606
+        _start_again()
+
+
+def _start_again(*more: str) -> None:
+    os.execv(sys.executable, [sys.executable, "-m", "deploy.forkserver", *sys.argv[1:], *more])  # noqa: S606
 
 
 def serve(control: socket.socket) -> None:
     """Fork nodes on request and report their ends until the supervisor closes its end."""
-    names = json.loads(control.recv(_MESSAGE_SIZE))
-    modules = {name: importlib.import_module(module) for name, module in names.items()}
-    for module in modules.values():
-        module.warm_up()
+    names = json.loads(control.recv(_MESSAGE_SIZE, socket.MSG_PEEK))
+    with numba_event.install_recorder("numba:compile") as compiled:
+        modules = {name: importlib.import_module(module) for name, module in names.items()}
+        for module in modules.values():
+            module.warm_up()
+    if compiled.buffer and _AGAIN not in sys.argv:
+        # What comes out of the cache lies elsewhere than what has just been compiled.
+        _start_again(_AGAIN)
+    control.recv(_MESSAGE_SIZE)
     for topic in TOPICS:
         topic_key(topic)
     gc.collect()
@@ -218,6 +234,7 @@ def _run_node(request: dict[str, str], descriptors: list[int], modules: Mapping[
     gc.disable()
     if int(request["tracer_pid"]):
         _libc.prctl(PR_SET_PTRACER, int(request["tracer_pid"]), 0, 0, 0)
+        ward_off_traps()
     setup = NodeSetup.model_validate_json(request["setup"])
     _libc.prctl(PR_SET_NAME, f"zenfi-{setup.name}".encode())
     meeting = Meeting(Path(request["folder"]), request["namespace"])

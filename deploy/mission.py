@@ -225,6 +225,8 @@ class _Mission:
             self._end_ns = last.ready_ns
 
     def _stalled(self) -> None:
+        if any(one.alive and one.vitals.page["gated"] for one in self._supervisor.members.values()):
+            return  # scouts are under way; should the injector die of it, that is heard of
         if self._spec.fault is None:
             tails = "; ".join(
                 f"{one.process.name}: {one.log_tail}" for one in self._supervisor.members.values()
@@ -242,6 +244,9 @@ class _Mission:
                 continue
             if exited.status == EXIT_BUG and (self._spec.fault is None or member.process.essential):
                 message = f"{name}: {member.log_tail}"
+                raise InfrastructureError(message)
+            if name == "injector":
+                message = f"the injector died: {member.causes[-1]}"
                 raise InfrastructureError(message)
             self._catch_up(member)
             self._look_for_end()
@@ -266,9 +271,6 @@ class _Mission:
             self._take_in(LOOK_S)
 
     def _fail(self, name: str, member: Member) -> None:
-        if name == "injector":
-            message = f"the injector died: {member.causes[-1]}"
-            raise InfrastructureError(message)
         last = self._recorder.last("odometry")
         self._result = "stack_failure"
         self._reason = f"{name}: {member.causes[-1]}"
@@ -320,12 +322,15 @@ class _Mission:
                 reason="the flight ended before that call or message",
                 node=aimed_at(fault),
                 kernel=fault.target if fault.level == "instruction" else "",
-                invocation=fault.trigger.invocation if fault.trigger is not None else 0,
+                invocation=(fault.trigger.invocation if fault.trigger is not None else None) or 0,
                 model=fault.model,
                 scope=fault.scope,
             )
+        spec = self._spec
+        if fault is not None and injection is not None and injection.trigger is not None:
+            spec = spec.model_copy(update={"fault": fault.model_copy(update={"trigger": injection.trigger})})
         return Outcome(
-            spec=self._spec,
+            spec=spec,
             result=self._result,
             reason=self._reason,
             qof=self._qof if self._qof is not None else NO_FLIGHT,

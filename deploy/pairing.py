@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections import OrderedDict
 
+import numpy as np
+
 from deploy.forkserver import ForkServer
 from deploy.mission import Flight, fly
 from services.bus import rng
@@ -40,8 +42,8 @@ class Pairs:
             return self._golden(spec).outcome
         twin = self._golden(spec.model_copy(update={"fault": None}))
         fault = spec.fault
-        if fault.trigger is None:
-            fault = fault.model_copy(update={"trigger": draw_trigger(fault, twin.outcome)})
+        if fault.trigger is None or not fault.trigger.names_a_call:
+            fault = fault.model_copy(update={"trigger": draw_call(fault, twin.outcome)})
         return compare(fly(spec.model_copy(update={"fault": fault}), self._server), twin)
 
     def _golden(self, spec: MissionSpec) -> Flight:
@@ -53,12 +55,8 @@ class Pairs:
         return self._twins[key]
 
 
-def draw_trigger(fault: FaultSpec, golden: Outcome) -> Trigger:
-    """Draw when the fault strikes: a call of the kernel, and a moment of thread time within it; or a
-    message that carries the state, uniform over those of the golden twin.
-
-    The call is uniform over the golden twin's calls. The moment is uniform over the mean thread time
-    of a call, which differs a little from machine to machine: the record says ``cpu_time``.
+def draw_call(fault: FaultSpec, golden: Outcome) -> Trigger:
+    """Draw the call or message in which the fault strikes, over the golden twin's or its flight time.
 
     :raises NothingToInjectError: if the golden twin never ran the kernel.
     """
@@ -68,13 +66,27 @@ def draw_trigger(fault: FaultSpec, golden: Outcome) -> Trigger:
         if not messages:
             message = f"the golden flight never publishes {fault.target}: nothing to inject into"
             raise NothingToInjectError(message)
-        return Trigger(invocation=int(draw.integers(messages)), cpu_ns=0)
+        return _drawn(fault, golden, draw, messages)
     use = golden.nodes[KERNELS[fault.target].stage].kernels.get(fault.target)
     if use is None:
         message = f"the golden flight never runs {fault.target}: nothing to inject into"
         raise NothingToInjectError(message)
-    invocation = int(draw.integers(use.invocations))
-    return Trigger(invocation=invocation, cpu_ns=int(draw.random() * use.cpu_ns / use.invocations))
+    trigger = _drawn(fault, golden, draw, use.invocations)
+    if golden.spec.clock == "realtime" and trigger.site is None and trigger.cpu_ns is None:
+        # No scouts are sent ahead: meanwhile the flight would go on.
+        mean_ns = use.cpu_ns / use.invocations
+        trigger = trigger.model_copy(update={"cpu_ns": int(draw.random() * mean_ns)})
+    return trigger
+
+
+def _drawn(fault: FaultSpec, golden: Outcome, draw: np.random.Generator, times: int) -> Trigger:
+    """The trigger with one of so many calls or messages, or a moment of the flight."""
+    wanted = fault.trigger if fault.trigger is not None else Trigger()
+    if wanted.over == "time":
+        moment = {"after_ns": int(draw.random() * golden.qof.flight_time_s * 1e9)}
+    else:
+        moment = {"invocation": int(draw.integers(times))}
+    return wanted.model_copy(update=moment)
 
 
 def compare(flight: Flight, twin: Flight) -> Outcome:

@@ -64,6 +64,21 @@ def place(pid: int, maps: Maps, address: int) -> Place:
     return Place(name, build_id, offset, _symbol(content, sections, section_count, offset))
 
 
+def locate(pid: int, maps: Maps, module: str, build_id: str, offset: int) -> int | None:
+    """The address of what :func:`place` told; None if no such code is loaded."""
+    if not module:
+        return offset if maps.at(offset) is not None else None
+    for mapping in maps.code():
+        if Path(mapping.path).name.removesuffix(" (deleted)") != module:
+            continue
+        for address in (mapping.start, mapping.end - 1):
+            found = place(pid, maps, address)
+            nominal = address + offset - found.offset
+            if found.build_id == build_id and mapping.start <= nominal < mapping.end:
+                return nominal
+    return None
+
+
 def _content(pid: int, path: str) -> mmap.mmap | None:
     for candidate in (Path(f"/proc/{pid}/root{path}"), Path(path)):
         try:

@@ -9,13 +9,13 @@ import signal
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Literal
 
 from injector import ptrace
-from injector.process import has_ended, thread_count, threads, tracer_of
+from injector.process import has_ended, sleeps, thread_count, threads, tracer_of
 from injector.ptrace import Report
 
 STOP_LIMIT_S = 5.0
@@ -26,6 +26,9 @@ STEP_LIMIT_S = 5.0
 
 END_LIMIT_S = 1.0
 """Wall time for a killed thread to be gone."""
+
+QUIET_LIMIT_S = 0.1
+"""Wall time for the threads beside the struck one to be asleep all at once."""
 
 _TRAPS = ("step", "timer", "gate")
 _FAULTS = frozenset({signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGTRAP})
@@ -53,13 +56,19 @@ class Tracees:
     the first interrupt to the last resume.
     """
 
-    def __init__(self, gate_signal: int | None = None) -> None:
-        """Trace nobody yet. Who gets ``gate_signal`` stands, and the signal is taken away."""
+    def __init__(self, gate_signal: int | None = None, *, forks: bool = False) -> None:
+        """Trace nobody yet. Who gets ``gate_signal`` stands, and the signal is taken away.
+
+        With ``forks``, whom the tracees fork is traced, too.
+        """
         self._gate_signal = gate_signal
+        self._forks = forks
         self.threads: dict[int, Thread] = {}
         self.threads_stopped = 0
         self.pause_us = 0.0
         self._pause_begin_ns = 0
+        self.leave_out: Callable[[int], object] = lambda _pause_ns: None
+        """Told how long everybody stood, just before they go on."""
         self._pids: list[int] = []
         self._ending: list[Thread] = []
 
@@ -96,7 +105,7 @@ class Tracees:
         if tid in self.threads:
             return False
         try:
-            ptrace.seize(tid)
+            ptrace.seize(tid, forks=self._forks)
         except ptrace.GoneError:
             return False
         except ptrace.NotPermittedError as error:
@@ -128,8 +137,9 @@ class Tracees:
     def _look(self, thread: Thread) -> Report | None:
         """Take in what a running thread reports, if anything: it then stands or is gone."""
         report = ptrace.poll(thread.tid)
-        if report is None:
-            return None
+        return None if report is None else self._take_in(thread, report)
+
+    def _take_in(self, thread: Thread, report: Report) -> Report:
         if report.kind == "gone":
             del self.threads[thread.tid]
             return report
@@ -138,10 +148,11 @@ class Tracees:
         elif report.kind == "signal":
             thread.signals.append(report.signal)
         thread.report = report
-        if report.kind == "new_thread":
+        if report.kind in ("new_thread", "new_process"):
             with suppress(ptrace.GoneError):  # killed meanwhile, its child with it
-                tid = ptrace.new_thread(thread.tid)
-                self.threads.setdefault(tid, Thread(thread.pid, tid))
+                tid = ptrace.started(thread.tid)
+                pid = thread.pid if report.kind == "new_thread" else tid
+                self.threads.setdefault(tid, Thread(pid, tid))
         return report
 
     # -- stopping and resuming ---------------------------------------------------------------------
@@ -152,16 +163,32 @@ class Tracees:
         :raises FreezeError: if one does not stop.
         """
         self._pause_begin_ns = time.monotonic_ns()
-        self._interrupt_all()
-        self._await_stops()
+        self._stop(self.threads.values())
         # Reading the list of threads while some come and go can miss one.
         while sum(self._seize_threads(pid) for pid in self._incomplete()):
-            self._interrupt_all()
-            self._await_stops()
+            self._stop(self.threads.values())
         self.threads_stopped = len(self.threads)
 
-    def _interrupt_all(self) -> None:
-        for thread in self.threads.values():
+    def quieten(self, thread: Thread) -> bool:
+        """Stop the other threads of a thread's process while each sleeps, so that none holds a lock.
+
+        What the thread does from then on, it does alone. False, and all run on: some never slept together.
+
+        :raises FreezeError: if one does not stop.
+        """
+        others = [one for one in self.threads.values() if one.pid == thread.pid and one is not thread]
+        asleep = ptrace.wait_until(lambda: all(sleeps(one.tid) for one in others) or None, QUIET_LIMIT_S)
+        if asleep:
+            self._stop(others)
+        return bool(asleep)
+
+    def _stop(self, threads: Iterable[Thread]) -> None:
+        several = list(threads)
+        self._interrupt(several)
+        self._await_stops(several)
+
+    def _interrupt(self, threads: Iterable[Thread]) -> None:
+        for thread in threads:
             stepped = thread.report is not None and thread.report.kind == "step"
             if thread.report is not None and not stepped:
                 continue
@@ -178,33 +205,45 @@ class Tracees:
         held = Counter(thread.pid for thread in self.threads.values())
         return [pid for pid in self._pids if thread_count(pid) != held[pid]]
 
-    def _await_stops(self) -> None:
+    def _await_stops(self, threads: Sequence[Thread]) -> None:
+        def running() -> list[Thread]:
+            return [one for one in threads if one.report is None and self.threads.get(one.tid) is one]
+
         def all_stand() -> Literal[True] | None:
-            for thread in self._running():
+            for thread in running():
                 self._look(thread)
-            return None if self._running() else True
+            return None if running() else True
 
         if ptrace.wait_until(all_stand, STOP_LIMIT_S / 100):
             return
         # The first thread of a process reports its end only when all others have ended.
-        for thread in [thread for thread in self._running() if has_ended(thread.tid)]:
+        for thread in [thread for thread in running() if has_ended(thread.tid)]:
             self._ending.append(self.threads.pop(thread.tid))
         if not ptrace.wait_until(all_stand, STOP_LIMIT_S):
-            names = ", ".join(f"{thread.tid} of process {thread.pid}" for thread in self._running())
+            names = ", ".join(f"{thread.tid} of process {thread.pid}" for thread in running())
             message = f"did not stop within {STOP_LIMIT_S} s: thread {names}"
             raise FreezeError(message)
 
     def resume_all(self) -> None:
         """Let all threads run, in the order in which they were seized; they stay traced."""
+        self._leave_pause_out()
         for thread in self.threads.values():
             if thread.report is not None:
                 self._resume(thread)
         self._end_pause()
 
+    def _leave_pause_out(self) -> None:
+        if self._pause_begin_ns:
+            self.leave_out(time.monotonic_ns() - self._pause_begin_ns)
+
     def _end_pause(self) -> None:
         if self._pause_begin_ns:
             self.pause_us = (time.monotonic_ns() - self._pause_begin_ns) / 1e3
             self._pause_begin_ns = 0
+
+    def resume(self, thread: Thread) -> None:
+        """Let one standing thread run."""
+        self._resume(thread)
 
     def _resume(self, thread: Thread) -> None:
         group_stop = thread.report is not None and thread.report.kind == "group_stop"
@@ -228,11 +267,12 @@ class Tracees:
         thread.signals.clear()
         return first
 
-    def step(self, thread: Thread) -> Literal["stepped", "faulted", "gone", "stuck"]:
+    def step(self, thread: Thread) -> Literal["stepped", "ended", "faulted", "gone", "stuck"]:
         """Let a standing thread execute one instruction while the others stay as they are.
 
-        ``faulted``: the instruction raised a signal, which is delivered when the thread is resumed.
-        Signals from elsewhere wait until then, too. ``stuck``: it did not come back and runs.
+        ``ended``: it stands at the gate's signal. ``faulted``: the instruction raised a signal, which is
+        delivered when the thread is resumed. Signals from elsewhere wait until then, too. ``stuck``: it
+        did not come back and runs.
         """
         deadline = time.monotonic() + STEP_LIMIT_S
         while True:
@@ -246,8 +286,21 @@ class Tracees:
                 return "gone"
             if report.kind == "step":
                 return "stepped"
+            if report.kind == "gate":
+                return "ended"
             if report.kind == "signal" and report.signal in _FAULTS:
                 return "faulted"
+
+    def trace(self, thread: Thread, most: int) -> list[int]:
+        """Let a standing thread execute up to ``most`` instructions, until it reports; where they lie.
+
+        Waits without end: for a thread that somebody kills if it hangs.
+        """
+        addresses, report = ptrace.trace(thread.tid, most)
+        thread.report = Report("step")
+        if report is not None:
+            self._take_in(thread, report)
+        return addresses
 
     def detach_all(self) -> None:
         """Let all threads run untraced, in the order in which they were seized.
@@ -255,9 +308,9 @@ class Tracees:
         :raises FreezeError: if one cannot be stopped, which is needed to let go of it. The others are free.
         """
         try:
-            self._interrupt_all()
-            self._await_stops()
+            self._stop(self.threads.values())
         finally:
+            self._leave_pause_out()
             for thread in list(self.threads.values()):
                 self._detach(thread)
             self.threads.clear()

@@ -22,7 +22,7 @@ class Strike:
     fault was cut short.
     """
 
-    status: Literal["injected", "not_activated", "not_reached", "failed"]
+    status: Literal["injected", "not_activated", "not_reached", "diverged", "failed"]
     reason: str = ""
     instruction: Instruction | None = None
     operand: Role | Literal[""] = ""

@@ -5,17 +5,22 @@ from __future__ import annotations
 import json
 import os
 import queue
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import zenoh
 
-from injector.session import Call, inject_at_cpu_time
+from injector.rehearsal import rehearse
+from injector.scout import Scout, sent_ahead, survey
+from injector.session import inject
+from injector.way import Call
 from services.bus import announce, rng, session
 from services.bus.announce import Announcement
+from services.bus.clock import FlightClock
 from services.bus.messages import Injection, encode
-from services.bus.mission import FaultSpec
-from services.bus.node import NodeSetup
+from services.bus.mission import FaultSpec, Trigger
+from services.bus.node import SCOUT, NodeSetup
 from services.bus.outcome import InjectionRecord
 from services.bus.session import Meeting
 from services.bus.topics import TOPICS
@@ -31,36 +36,69 @@ def main(setup: NodeSetup, meeting: Meeting, _: Vitals) -> None:
     """Wait for the armed call, inject once, let everybody pass after that; end with the simulator."""
     fault = setup.spec.fault
     assert fault is not None  # noqa: S101 - the injector is started with a fault only
+    rehearse(fault)
     with session.open_session(meeting, setup.name) as bus:
-        gate = Gate(bus, KERNELS[fault.target].stage)
+        clock = FlightClock(meeting.clock) if setup.spec.clock == "realtime" else None
+        gate = Gate(bus, KERNELS[fault.target].stage, clock)
         publisher = bus.declare_publisher(session.topic_key("injection"))
         token = bus.liveliness().declare_token(announce.announcement(setup.name).key)
-        if (entering := gate.next()) is not None:
-            record = inject(gate, entering, fault, setup.spec.seed)
-            text = record.model_dump_json(by_alias=True)
-            publisher.put(encode(Injection(record=text), TOPICS["injection"].type))
-            while (passing := gate.next()) is not None:
-                gate.open(passing)
+        if gate.wait():
+            with suppress(FlightOverError):
+                record = inject_at(gate, fault, setup.spec.seed)
+                text = record.model_dump_json(by_alias=True)
+                publisher.put(encode(Injection(record=text), TOPICS["injection"].type))
+            while gate.wait():
+                gate.open()
         token.undeclare()  # type: ignore[no-untyped-call]
 
 
-def inject(gate: Gate, entering: zenoh.Query, fault: FaultSpec, seed: int) -> InjectionRecord:
-    """Inject into the node that is at the gate, while every node stands."""
-    request = json.loads(entering.payload.to_bytes()) if entering.payload is not None else {}
+def inject_at(gate: Gate, fault: FaultSpec, seed: int) -> InjectionRecord:
+    """Inject into the node that is at the gate, while every node stands; scouts tell where, if need be.
+
+    :raises FlightOverError: if the flight ends meanwhile.
+    """
+    request = gate.request()
+    trigger = fault.trigger if fault.trigger is not None else Trigger()
+    trigger = trigger.model_copy(update={"invocation": int(request["invocation"])})
     target = gate.announced[KERNELS[fault.target].stage]
+    scouts = 0
+
+    @contextmanager
+    def ahead() -> Iterator[Scout]:
+        nonlocal scouts
+        scouts += 1
+        with sent_ahead(target, gate.send_scout) as scout:
+            yield scout
+        if not gate.wait():
+            raise FlightOverError
+
+    if trigger.site is None and trigger.cpu_ns is None:
+        trigger = survey(ahead, trigger, rng.generator(seed, f"site {fault.target}", fault.seed))
     own = os.getpid()
     others = [one for _, one in sorted(gate.announced.items()) if one.pid not in (target.pid, own)]
-    call = Call(target, int(request["virtual_time_ns"]), armed=lambda: gate.open(entering), marked=True)
-    return inject_at_cpu_time(
-        call, others, fault, rng.generator(seed, f"injection {fault.target}", fault.seed)
+    call = Call(
+        target, int(request["virtual_time_ns"]), armed=gate.open, marked=True, leave_out=gate.leave_out
     )
+    record = inject(
+        call,
+        others,
+        fault.model_copy(update={"trigger": trigger}),
+        rng.generator(seed, f"injection {fault.target}", fault.seed),
+    )
+    return record.model_copy(update={"scouts": scouts})
+
+
+class FlightOverError(Exception):
+    """The simulator is gone."""
 
 
 class Gate:
     """Where the armed node waits, and who is there. Zenoh's threads only fill the queue."""
 
-    def __init__(self, bus: zenoh.Session, stage: str) -> None:
+    def __init__(self, bus: zenoh.Session, stage: str, clock: FlightClock | None) -> None:
+        self._clock = clock
         self.announced: dict[str, Announcement] = {}
+        self._waiting: zenoh.Query | None = None
         self._key = session.gate_key(stage)
         self._events: queue.SimpleQueue[tuple[Callable[[Any], bool], Any]] = queue.SimpleQueue()
         self._declared = (
@@ -74,17 +112,37 @@ class Gate:
             ),
         )
 
-    def next(self) -> zenoh.Query | None:
-        """The next request at the gate; None once the simulator is gone."""
+    def leave_out(self, pause_ns: int) -> None:
+        """Keep a pause out of the time of a flight in real time; virtual time stands still anyway."""
+        if self._clock is not None:
+            self._clock.leave_out(pause_ns)
+
+    def wait(self) -> bool:
+        """Wait until the node is at the gate; False once the simulator is gone."""
         while True:
             handle, event = self._events.get()
             if handle(event):
-                return event if handle is _is_query else None
+                self._waiting = event if handle is _is_query else None
+                return self._waiting is not None
 
-    def open(self, query: zenoh.Query) -> None:
+    def request(self) -> dict[str, Any]:
+        """What the node at the gate says of its call."""
+        payload = self._waiting.payload if self._waiting is not None else None
+        return dict(json.loads(payload.to_bytes())) if payload is not None else {}
+
+    def open(self) -> None:
         """Let the node pass."""
-        with query:
-            query.reply(self._key, b"")
+        self._answer(b"")
+
+    def send_scout(self) -> None:
+        """Have the node send a scout through the gate, after which it will be there again."""
+        self._answer(SCOUT)
+
+    def _answer(self, payload: bytes) -> None:
+        if self._waiting is not None:
+            with self._waiting as query:
+                query.reply(self._key, payload)
+            self._waiting = None
 
     def _meet(self, sample: zenoh.Sample) -> bool:
         """Note who came or went; whether the flight is over by that."""

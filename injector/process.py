@@ -99,6 +99,10 @@ class Maps:
         mapping = _mapping(self._lines[index])
         return mapping if address < mapping.end else None
 
+    def upper_halves(self) -> set[int]:
+        """The upper 32 bits of all addresses, where they are not 0."""
+        return {int(line.partition("-")[0], 16) >> 32 for line in self._lines} - {0}
+
     def code(self) -> Iterator[Mapping]:
         """The pieces that may be executed."""
         return (_mapping(line) for line in self._lines if "x" in line.split(maxsplit=2)[1])
@@ -242,11 +246,21 @@ def thread_count(pid: int) -> int:
 
 def has_ended(tid: int) -> bool:
     """Whether a thread is dead or gone, even if the rest of its process lives on."""
+    return _state(tid) in "ZX"
+
+
+def sleeps(tid: int) -> bool:
+    """Whether a thread waits in a system call (or is gone)."""
+    return _state(tid) in "SZX"
+
+
+def _state(tid: int) -> str:
+    """The one letter of proc_pid_stat(5); Z if the thread is gone."""
     try:
         stat = Path(f"/proc/{tid}/stat").read_text()
     except OSError:
-        return True
-    return stat.rpartition(")")[2].split()[0] in "ZX"
+        return "Z"
+    return stat.rpartition(")")[2].split()[0]
 
 
 def tracer_of(tid: int) -> int:

@@ -9,9 +9,12 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import platform
 import signal
+import struct
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
@@ -19,9 +22,13 @@ _CONT, _SINGLESTEP, _DETACH = 7, 9, 17
 _SEIZE, _INTERRUPT, _LISTEN = 0x4206, 0x4207, 0x4208
 _GETEVENTMSG, _GETSIGINFO, _PEEKSIGINFO = 0x4201, 0x4202, 0x4209
 _GETREGSET, _SETREGSET = 0x4204, 0x4205
-_O_TRACECLONE = 0x8
+_WORD = struct.Struct("=Q")
+_GENERAL_SIZE = 512
+_PROGRAM_COUNTER_AT = {"x86_64": 128, "aarch64": 256}[platform.machine()]  # in NT_PRSTATUS
+_STOPPED_AT_TRAP = signal.SIGTRAP << 8 | 0x7F
+_O_TRACEFORK, _O_TRACECLONE = 0x2, 0x8
 _WALL = 0x40000000
-_EVENT_CLONE, _EVENT_STOP = 3, 128
+_EVENT_FORK, _EVENT_CLONE, _EVENT_STOP = 1, 3, 128
 _SIGINFO_SIZE = 128
 _QUEUE = 64  # real-time signals aside, a signal is queued at most once
 _STOP_SIGNALS = frozenset({signal.SIGSTOP, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU})
@@ -32,7 +39,7 @@ NT_PRSTATUS, NT_X86_XSTATE = 1, 0x202
 _TRAP_BRKPT, _TRAP_TRACE, _TRAP_PERF = 1, 2, 6
 _OUR_TRAPS: dict[int, Kind] = {_TRAP_BRKPT: "step", _TRAP_TRACE: "step", _TRAP_PERF: "timer"}
 
-SPIN_NS = 60_000
+SPIN_NS = 200_000
 """How long a wait polls before it sleeps: a single step takes 20 us, waking from sleep 15 us more."""
 
 _SLICE_S = 0.001
@@ -44,7 +51,9 @@ REMEDY = (
 )
 
 T = TypeVar("T")
-Kind = Literal["gone", "interrupted", "group_stop", "new_thread", "step", "timer", "gate", "signal"]
+Kind = Literal[
+    "gone", "interrupted", "group_stop", "new_thread", "new_process", "step", "timer", "gate", "signal"
+]
 
 _libc = ctypes.CDLL(None, use_errno=True)
 _ptrace = _libc.ptrace
@@ -69,10 +78,10 @@ class Report:
     """What a tracee reports: why it stands, or that it is gone.
 
     ``interrupted`` by :func:`interrupt` or newly attached; ``group_stop`` by a stop signal, of which
-    the whole process stands; ``new_thread`` after a clone; ``step`` and ``timer`` are our own traps;
-    ``gate`` is the signal by which a node marks where an armed call begins and ends (only
-    :class:`injector.freeze.Tracees` knows which); ``signal`` is about to be delivered unless the tracee
-    is resumed without it.
+    the whole process stands; ``new_thread`` after a clone, ``new_process`` after a fork; ``step`` and
+    ``timer`` are our own traps; ``gate`` is the signal by which a node marks where an armed call begins
+    and ends (only :class:`injector.freeze.Tracees` knows which); ``signal`` is about to be delivered
+    unless the tracee is resumed without it.
     """
 
     kind: Kind
@@ -94,9 +103,12 @@ def _call(request: int, tid: int, address: int = 0, data: int = 0) -> int:
     raise PtraceError(message)
 
 
-def seize(tid: int) -> None:
-    """Trace a thread without stopping it; threads that it starts are traced from their first instruction."""
-    _call(_SEIZE, tid, data=_O_TRACECLONE)
+def seize(tid: int, *, forks: bool = False) -> None:
+    """Trace a thread without stopping it; threads that it starts are traced from their first instruction.
+
+    With ``forks``, so are the processes that it forks.
+    """
+    _call(_SEIZE, tid, data=_O_TRACECLONE | (_O_TRACEFORK if forks else 0))
 
 
 def interrupt(tid: int) -> None:
@@ -124,8 +136,8 @@ def detach(tid: int, signal_number: int = 0) -> None:
     _call(_DETACH, tid, data=signal_number)
 
 
-def new_thread(tid: int) -> int:
-    """The thread that a tracee has started, after a report of kind ``new_thread``."""
+def started(tid: int) -> int:
+    """What a tracee has started, after a report of kind ``new_thread`` or ``new_process``."""
     value = ctypes.c_ulong()
     _call(_GETEVENTMSG, tid, data=ctypes.addressof(value))
     return value.value
@@ -169,14 +181,38 @@ def _registers(request: int, tid: int, kind: int, content: bytearray) -> int:
     return vector[1]
 
 
+def trace(tid: int, most: int) -> tuple[list[int], Report | None]:
+    """Let a standing tracee execute up to ``most`` instructions: where each lies, and what ended them early.
+
+    Waits for each without end: only for a tracee that somebody kills if it hangs.
+    """
+    registers = bytearray(_GENERAL_SIZE)
+    start = ctypes.addressof(ctypes.c_char.from_buffer(registers))
+    vector = (ctypes.c_size_t * 2)(start, len(registers))  # struct iovec
+    at_vector = ctypes.addressof(vector)
+    addresses: list[int] = []
+    for _ in range(most):
+        with suppress(GoneError):  # killed; its end is reported next
+            _call(_GETREGSET, tid, NT_PRSTATUS, at_vector)
+            addresses.append(_WORD.unpack_from(registers, _PROGRAM_COUNTER_AT)[0])
+            _call(_SINGLESTEP, tid)
+        _, status = os.waitpid(tid, _WALL)
+        if status != _STOPPED_AT_TRAP:
+            return addresses, _report(tid, status)
+    return addresses, None
+
+
 def poll(tid: int) -> Report | None:
     """What a tracee has to report, if anything; it then stands (or is gone)."""
     try:
         reported, status = os.waitpid(tid, os.WNOHANG | _WALL)
     except ChildProcessError:
         return Report("gone")
-    if not reported:
-        return None
+    return _report(tid, status) if reported else None
+
+
+def _report(tid: int, status: int) -> Report:
+    """What the status of a wait tells."""
     if not os.WIFSTOPPED(status):
         return Report("gone", os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0)
     number, event = os.WSTOPSIG(status), status >> 16
@@ -184,6 +220,8 @@ def poll(tid: int) -> Report | None:
         return Report("group_stop" if number in _STOP_SIGNALS else "interrupted", number)
     if event == _EVENT_CLONE:
         return Report("new_thread")
+    if event == _EVENT_FORK:
+        return Report("new_process")
     return _signal_report(tid, number)
 
 
@@ -220,3 +258,5 @@ def wait_until(look: Callable[[], T | None], limit_s: float) -> T | None:
             return None
         if waited_ns > SPIN_NS:
             signal.sigtimedwait({signal.SIGCHLD}, _SLICE_S)
+        else:
+            os.sched_yield()  # tracees on our own processor need it to get anywhere

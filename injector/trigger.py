@@ -1,6 +1,6 @@
-"""Stopping a thread once it has used a given amount of its own processor time.
+"""Stopping a thread at a moment: after some processor time of its own, or at a pass through an address.
 
-A perf event counts the thread's task clock and raises SIGTRAP in it, which ptrace shows to us only.
+A perf event counts in the kernel and raises SIGTRAP in the thread, which ptrace shows to us only.
 Source: perf_event_open(2), Linux include/uapi/linux/perf_event.h.
 """
 
@@ -33,11 +33,12 @@ REMEDY = (
 
 _PERF_EVENT_OPEN = 298  # the number of the system call on x86-64
 _TYPE_SOFTWARE, _COUNT_TASK_CLOCK = 1, 1
+_TYPE_BREAKPOINT, _EXECUTE, _LONG = 5, 4, 8
 _ATTR_SIZE = 128  # PERF_ATTR_SIZE_VER7, the first with sig_data
 _DISABLED, _EXCLUDE_KERNEL, _EXCLUDE_HV = 1 << 0, 1 << 5, 1 << 6
 _REMOVE_ON_EXEC, _SIGTRAP = 1 << 36, 1 << 37
 _FLAG_CLOEXEC = 8
-_IOC_REFRESH, _IOC_PERIOD = 0x2402, 0x40082404
+_IOC_ENABLE, _IOC_REFRESH, _IOC_PERIOD = 0x2400, 0x2402, 0x40082404
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -65,7 +66,7 @@ class ThreadTimer:
         thread.timed = True
         try:
             for chance_ns in CHANCES_NS:
-                descriptor = _perf_event_open(thread.tid, self._moment_ns + chance_ns)
+                descriptor = _timer(thread.tid, self._moment_ns + chance_ns)
                 self._descriptors.append(descriptor)
                 # Enables it for one overflow, after which the kernel disables it.
                 fcntl.ioctl(descriptor, _IOC_REFRESH, 1)
@@ -96,10 +97,54 @@ class ThreadTimer:
         self.close()
 
 
-def _perf_event_open(tid: int, period_ns: int) -> int:
+class Breakpoint:
+    """Counts a traced thread's passes through an address, and traps it at the ``hit``-th (0: never).
+
+    It then stands at the instruction there, not yet executed. Nothing is written into the process. To be
+    used like :class:`ThreadTimer`.
+    """
+
+    def __init__(self, thread: Thread, address: int, hit: int = 0) -> None:
+        """Begin to count.
+
+        :raises TriggerError: if the kernel refuses.
+        :raises GoneError: if the thread has ended.
+        """
+        thread.timed = thread.timed or hit > 0
+        self._descriptor = _breakpoint(thread.tid, address, hit)
+        if hit:
+            fcntl.ioctl(self._descriptor, _IOC_REFRESH, 1)
+        else:
+            fcntl.ioctl(self._descriptor, _IOC_ENABLE, 0)
+
+    @property
+    def hits(self) -> int:
+        """Passes so far."""
+        return int.from_bytes(os.read(self._descriptor, 8), "little")
+
+    def __enter__(self) -> Breakpoint:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._descriptor)
+
+
+def _timer(tid: int, period_ns: int) -> int:
     flags = _DISABLED | _EXCLUDE_KERNEL | _EXCLUDE_HV | _REMOVE_ON_EXEC | _SIGTRAP
-    head = struct.pack("=IIQQQQQ", _TYPE_SOFTWARE, _ATTR_SIZE, _COUNT_TASK_CLOCK, period_ns, 0, 0, flags)
-    buffer = ctypes.create_string_buffer(head, _ATTR_SIZE)
+    return _perf_event_open(
+        tid,
+        struct.pack("=IIQQQQQ", _TYPE_SOFTWARE, _ATTR_SIZE, _COUNT_TASK_CLOCK, period_ns, 0, 0, flags),
+    )
+
+
+def _breakpoint(tid: int, address: int, hit: int) -> int:
+    flags = _DISABLED | _EXCLUDE_KERNEL | _EXCLUDE_HV | (_REMOVE_ON_EXEC | _SIGTRAP if hit else 0)
+    head = struct.pack("=IIQQQQQ", _TYPE_BREAKPOINT, _ATTR_SIZE, 0, hit, 0, 0, flags)
+    return _perf_event_open(tid, head + struct.pack("=IIQQ", 0, _EXECUTE, address, _LONG))
+
+
+def _perf_event_open(tid: int, attributes: bytes) -> int:
+    buffer = ctypes.create_string_buffer(attributes, _ATTR_SIZE)
     descriptor = int(_libc.syscall(_PERF_EVENT_OPEN, buffer, tid, -1, -1, ctypes.c_ulong(_FLAG_CLOEXEC)))
     if descriptor >= 0:
         return descriptor
@@ -113,15 +158,20 @@ def _perf_event_open(tid: int, period_ns: int) -> int:
         errno.ENOSYS: "perf events are not compiled into this kernel",
         errno.EINVAL: "traps by perf events need Linux 5.13 or newer",
         errno.E2BIG: "traps by perf events need Linux 5.13 or newer",
+        errno.ENOSPC: "every breakpoint register is in use (a debugger?)",
     }.get(number, "")
-    message = f"no timer on thread {tid}: {os.strerror(number)}" + (f"; {remedy}" if remedy else "")
+    message = f"no perf event on thread {tid}: {os.strerror(number)}" + (f"; {remedy}" if remedy else "")
     raise TriggerError(message)
 
 
 def await_trap(
-    tracees: Tracees, thread: Thread, timer: ThreadTimer, finished: Callable[[], bool], limit_s: float
+    tracees: Tracees,
+    thread: Thread,
+    finished: Callable[[], bool],
+    limit_s: float,
+    insist: Callable[[], None] = lambda: None,
 ) -> Literal["trapped", "finished", "gone", "late"]:
-    """Let everybody run until the timer's trap, the thread's death, or the caller says that it is over."""
+    """Let everybody run until a trap, the thread's death, or the caller says that it is over."""
 
     def look() -> Literal["trapped", "finished", "gone"] | None:
         tracees.service()
@@ -131,7 +181,7 @@ def await_trap(
             return "trapped"
         if finished() or (thread.report is not None and thread.report.kind == "gate"):
             return "finished"
-        timer.insist()
+        insist()
         return None
 
     return wait_until(look, limit_s) or "late"

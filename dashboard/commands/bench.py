@@ -7,13 +7,16 @@ from pathlib import Path
 
 import click
 from rich.console import Console
+from rich.progress import Progress
 from rich.table import Table
 
 from dashboard.commands.options import as_json
-from deploy.check import BadSpecError
+from deploy.check import BadSpecError, check
 from deploy.forkserver import ForkServer
+from deploy.injections import measure_injections
 from deploy.measure import measure, to_toml
 from deploy.samples import SPEC, make_samples, write
+from services.bus.mission import FaultSpec, MissionSpec
 
 
 @click.group()
@@ -66,3 +69,28 @@ def samples(as_json: bool) -> None:
         else:
             told = "changed" if changed else "as it was"
             click.echo(f"{file}: {file.stat().st_size} bytes, {told} ({SPEC.world}, seed {SPEC.seed})")
+
+
+@bench.command()
+@click.option("--flights", type=click.IntRange(1, 10_000), default=12, show_default=True)
+@as_json
+def injector(flights: int, as_json: bool) -> None:
+    """How long injections pause the stack here, by which rungs they are reached, how fast stepping is."""
+    check(MissionSpec(fault=FaultSpec(target="pid")))
+    server = ForkServer()
+    try:
+        with Progress(console=Console(stderr=True)) as progress:
+            task = progress.add_task("flights", total=flights)
+            found = measure_injections(server, flights, lambda: progress.advance(task))
+    finally:
+        server.close()
+    if as_json:
+        click.echo(found.model_dump_json())
+        return
+    table = Table(title="injections")
+    table.add_column("figure")
+    table.add_column("value", justify="right")
+    for name, value in found.model_dump().items():
+        parts = ", ".join(f"{key} {count}" for key, count in value.items()) if isinstance(value, dict) else ""
+        table.add_row(name.replace("_", " "), parts or f"{value:,.6g}")
+    Console().print(table)

@@ -10,8 +10,10 @@ _LISTS = ("bit_numbers",)
 _ELSEWHERE = {"seed": "--fault-seed", "level": f"the form {FORM}", "target": f"the form {FORM}"}
 
 
-def parse_fault(text: str, seed: int) -> FaultSpec:
+def parse_fault(text: str, seed: int, over: str) -> FaultSpec:
     """The fault in ``text``: fields of :class:`FaultSpec` after the kernel; numbers of a list go with ``+``.
+
+    What it strikes is drawn ``over`` the "calls" or the "time" of the flight.
 
     :raises BadSpecError: if it has not the form.
     :raises pydantic.ValidationError: if a field or value is none, or they do not go together.
@@ -33,7 +35,8 @@ def parse_fault(text: str, seed: int) -> FaultSpec:
             raise BadSpecError(message)
         words = [_number(word) for word in value.split("+")]
         fields[name] = words if name in _LISTS else _number(value)
-    return FaultSpec.model_validate({"level": level, "target": target, "seed": seed, **fields})
+    given = {"level": level, "target": target, "seed": seed, "trigger": {"over": over}, **fields}
+    return FaultSpec.model_validate(given)
 
 
 def _number(word: str) -> int | str:

@@ -47,8 +47,8 @@ class FaultSpec(Strict):
     instruction that it executes; at level source it is an inter-kernel state or a vector of them
     (``services/bus/states.py``), and the bits are those of one message that carries it.
 
-    ``trigger`` is left out by people; :func:`deploy.pairing.draw_trigger` draws it from ``seed`` over
-    the golden twin, so that a stored specification says exactly when the fault struck.
+    ``trigger`` may be left out; it is drawn then, from ``seed``. A stored outcome's specification says
+    exactly when the fault struck.
 
     Models: ``bitflip`` inverts bits of a register; ``stuck_at`` holds them at ``stuck_value`` for
     ``stuck_instructions``; ``opcode`` inverts bits of the instruction for one execution; ``memory``
@@ -127,11 +127,50 @@ class FaultSpec(Strict):
             yield "bits counts bits to be drawn, bit_numbers names them: leave out bits"
 
 
-class Trigger(Strict):
-    """The moment of a fault: ``cpu_ns`` of thread time into the ``invocation``-th call of the kernel."""
+class Site(Strict):
+    """One dynamic instruction of a call, so that it can be found again.
 
-    invocation: int = Field(ge=0)
-    cpu_ns: int = Field(ge=0)
+    It is ``steps`` instructions after the ``hit``-th pass of the thread through ``offset`` of ``module``
+    (no module: the address itself) since the call began; without a ``hit``, after the call's beginning.
+    ``code`` and ``registers`` are what must be found there before a bit is flipped; empty: not known yet.
+    """
+
+    rung: Literal["exact", "occurrence"]
+    step: int | None = Field(default=None, ge=0, description="number in the call, counted from 0; exact only")
+    module: str = ""
+    build_id: str = ""
+    offset: int = Field(default=0, ge=0)
+    hit: int = Field(default=0, ge=0)
+    steps: int = Field(default=0, ge=0)
+    code: str = Field(default="", description="bytes of the instruction")
+    registers: str = Field(default="", description="hash of those that it reads, addresses left out")
+
+
+class Trigger(Strict):
+    """When a fault strikes: in which call of the kernel, and where in it.
+
+    The call is the ``invocation``-th, or the first that begins at ``after_ns`` of virtual time or later.
+    The place is a ``site``, or ``cpu_ns`` of thread time after the beginning. What is not given is drawn:
+    the call uniformly ``over`` the golden twin's calls or its flight time, the place by the injector when
+    the call comes. The specification in an outcome has all of it.
+    """
+
+    over: Literal["calls", "time"] = "calls"
+    invocation: int | None = Field(default=None, ge=0)
+    after_ns: int | None = Field(default=None, ge=0)
+    site: Site | None = None
+    cpu_ns: int | None = Field(default=None, ge=0)
+
+    def names(self, number: int, now_ns: int) -> bool:
+        """Whether it names the call or message of that number, at this virtual time."""
+        if self.invocation is not None:
+            return number == self.invocation
+        return self.after_ns is not None and now_ns >= self.after_ns
+
+    @property
+    def names_a_call(self) -> bool:
+        """Whether it need not be drawn which call is struck."""
+        return self.invocation is not None or self.after_ns is not None
 
 
 class Limits(Strict):

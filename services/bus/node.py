@@ -8,6 +8,7 @@ simulator, which owns the clock, calls :meth:`Node.advance` and :meth:`Node.prom
 from __future__ import annotations
 
 import json
+import os
 import queue
 import signal
 import time
@@ -27,6 +28,7 @@ from services.bus.model import Strict
 from services.bus.platform import KernelLatency
 from services.bus.ports import Input, Output, as_it_is, promise_of
 from services.bus.recovery import Recovery
+from services.bus.scout import fork_scout
 from services.bus.source_fault import SourceFault
 from services.bus.topics import HORIZON_TYPE, PLANNER, TOPICS, published_by
 from services.bus.vitals import Vitals
@@ -41,6 +43,9 @@ GATE_TIMEOUT_S = 60.0
 FLUSH_S = 10.0
 GATE_SIGNAL = signal.SIGURG
 """Marks the beginning and the end of an armed call to the tracer; ignored by default."""
+
+SCOUT = b"scout"
+"""The injector's answer at the gate that asks for a scout, after which the node asks again."""
 
 LIFE_SHIFT = 32
 
@@ -76,7 +81,9 @@ class Node:
         self.now_ns = setup.start_ns
         self.session = session.open_session(meeting, self.name)
         self._setup = setup
+        self._fault = setup.spec.fault
         self._page = vitals.page
+        self._page["gated"] = 0
         self._latencies = {
             kernel: Latency(stated, setup.spec.seed, kernel, setup.life)
             for kernel, stated in setup.latencies.items()
@@ -249,23 +256,24 @@ class Node:
         """Run a kernel: counted, timed, stopped at the injector's gate if armed; takes virtual time."""
         page, index = self._page, self._setup.kernels.index(name)
         invocation = int(page["invocations"][index])
-        fault = self.spec.fault
-        armed = (
-            fault is not None
-            and fault.trigger is not None
-            and (fault.target, fault.trigger.invocation) == (name, invocation)
-        )
         # Before the call: one that ends in a crash is not to be armed again in the next life.
         page["invocations"][index] += 1
-        if armed:
-            self._gate("enter", name)
-            signal.raise_signal(GATE_SIGNAL)
+        armed = self._is_armed(name, invocation)
+        scouting = armed and self._gate("enter", name, invocation)
         begin = time.thread_time_ns()
-        yield
+        if armed:
+            signal.raise_signal(GATE_SIGNAL)
+        try:
+            yield
+        finally:
+            if scouting:
+                signal.raise_signal(GATE_SIGNAL)
+                os._exit(0)
+        if armed:
+            signal.raise_signal(GATE_SIGNAL)
         spent = time.thread_time_ns() - begin
         if armed:
-            signal.raise_signal(GATE_SIGNAL)
-            self._gate("leave", name)
+            self._gate("leave", name, invocation)
         page["cpu_ns"][index] += spent
         page["cpu_squares_ns2"][index] += float(spent) ** 2
         page["last_cpu_ns"][index] = spent
@@ -275,23 +283,41 @@ class Node:
         """Let the time pass that a call takes on the mission's platform."""
         self.now_ns += self._latencies[kernel].of(invocation)
 
+    def _is_armed(self, kernel: str, invocation: int) -> bool:
+        """Whether this call is the one that the fault is for; at most one is in a node's life."""
+        fault = self._fault
+        if fault is None or fault.target != kernel or fault.trigger is None:
+            return False
+        if not fault.trigger.names(invocation, self.now_ns):
+            return False
+        self._fault = None
+        return True
+
     def slow_ns(self, kernel: str) -> int:
         """The virtual time that a kernel seldom exceeds (one call in twenty) on the mission's platform."""
         return self._latencies[kernel].slow_ns
 
-    def _gate(self, phase: str, kernel: str) -> None:
-        """Let the injector take hold, or let go, of us.
+    def _gate(self, phase: str, kernel: str, invocation: int) -> bool:
+        """Let the injector take hold, or let go, of us; True in a scout that it sends ahead.
 
         While it has, a signal to ourselves marks where the call begins and ends: the tracer sees it and
         takes it away, and without a tracer it is ignored.
         """
-        request = {"phase": phase, "kernel": kernel, "virtual_time_ns": self.now_ns}
-        replies = self.session.get(
-            session.gate_key(self.name), payload=json.dumps(request), timeout=GATE_TIMEOUT_S
+        request = json.dumps(
+            {"phase": phase, "kernel": kernel, "invocation": invocation, "virtual_time_ns": self.now_ns}
         )
-        if not any(reply.ok for reply in replies):
-            message = f"{self.name}: the injector did not answer at the gate of {kernel}"
-            raise BusError(message)
+        self._page["gated"] = 1
+        while True:
+            replies = self.session.get(session.gate_key(self.name), payload=request, timeout=GATE_TIMEOUT_S)
+            answers = [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
+            if not answers:
+                message = f"{self.name}: the injector did not answer at the gate of {kernel}"
+                raise BusError(message)
+            if answers[0] != SCOUT:
+                self._page["gated"] = 0
+                return False
+            if fork_scout():
+                return True
 
     # -- the loop of the clock's owner -------------------------------------------------------------
 

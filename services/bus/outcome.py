@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from services.bus.mission import MissionSpec
+from services.bus.mission import MissionSpec, Trigger
 from services.bus.model import Strict
 
 MissionResult = Literal["success", "collision", "no_path", "timeout", "stack_failure"]
@@ -48,7 +48,7 @@ class InjectionRecord(Strict):
     memory and instructions are taken as little-endian. ``bits`` are numbers of bits of that number.
     """
 
-    status: Literal["injected", "not_activated", "not_reached", "failed"]
+    status: Literal["injected", "not_activated", "not_reached", "diverged", "failed"]
     reason: str = Field(default="", description="why, where the status is not `injected` or only in part")
     mode: Literal["exact", "occurrence", "cpu_time"] = "cpu_time"
     node: str
@@ -72,6 +72,7 @@ class InjectionRecord(Strict):
     width_bits: int = 0
     element_bits: int = Field(default=0, description="of the floating-point numbers in it; 0 for none")
     bits: list[int] = []
+    holds_address: bool = Field(default=False, description="whether the register's value lies in memory")
     before: str = ""
     after: str = ""
     read_back: str = ""
@@ -80,6 +81,8 @@ class InjectionRecord(Strict):
     virtual_time_ns: int = 0
     pause_us: float = 0.0
     threads_stopped: int = 0
+    trigger: Trigger | None = Field(default=None, description="when it struck, for the same again")
+    scouts: int = Field(default=0, description="copies of the node that were run ahead to find the site")
     resampled: int = Field(
         default=0, description="sites passed over: system call, nothing eligible, outside the scope"
     )

@@ -27,10 +27,13 @@ class SourceFault:
     def strike(self, message: Any, number: int, now_ns: int) -> InjectionRecord | None:
         """Corrupt ``message``, the ``number``-th of its topic, if it is the one: what was done then."""
         trigger = self._fault.trigger
-        if self._done or trigger is None or number != trigger.invocation:
+        if self._done or trigger is None or not trigger.names(number, now_ns):
             return None
         self._done = True
-        return self._struck(message).model_copy(update={"invocation": number, "virtual_time_ns": now_ns})
+        again = trigger.model_copy(update={"invocation": number})
+        return self._struck(message).model_copy(
+            update={"invocation": number, "virtual_time_ns": now_ns, "trigger": again}
+        )
 
     def _struck(self, message: Any) -> InjectionRecord:
         fault, draw = self._fault, self._draw

@@ -18,6 +18,7 @@ _LAYOUT = np.dtype(
     [
         ("step_ns", np.int64),  # virtual time of the step under way or last finished
         ("computing", np.int64),  # 1 within a step, 0 while waiting
+        ("gated", np.int64),  # 1 while it waits at the injector's gate
         ("steps", np.int64),
         ("dropped", np.int64),  # triggers superseded while busy
         ("late", np.int64),  # ticks begun more than a tick late, in real time

@@ -18,10 +18,10 @@ def main(stage: str, pid: int) -> None:
     with Process(Identity.of(pid)) as process, Tracees() as tracees:
         tracees.seize([pid])
         thread = tracees.threads[pid]
-        with ThreadTimer(thread, PERIOD_NS) as timer:
+        with ThreadTimer(thread, PERIOD_NS):
             if stage == "timed":
                 wait_for_the_end()
-            assert await_trap(tracees, thread, timer, lambda: False, 30) == "trapped"
+            assert await_trap(tracees, thread, lambda: False, 30) == "trapped"
         if stage == "trapped":
             wait_for_the_end()
         tracees.stop_all()

@@ -12,9 +12,10 @@ from typing import Literal
 import pytest
 from iced_x86 import Code, Instruction, MemoryOperand, Register
 
-from injector import session
+from injector import way
 from injector.process import IdentityError, VanishedError, threads, tracer_of
-from injector.session import Call, inject_at_cpu_time
+from injector.session import inject as inject_into
+from injector.way import Call
 from services.bus.announce import Announcement, announcement, boot_id, start_ticks
 from services.bus.mission import FaultSpec, Trigger
 from services.bus.outcome import InjectionRecord
@@ -53,7 +54,7 @@ def inject(
     finished: Callable[[], bool] = lambda: False,
 ) -> InjectionRecord:
     call = Call(target.announcement(), 40_000_000, armed, finished)
-    return inject_at_cpu_time(call, [other.announcement() for other in others], spec, generator(seed, "test"))
+    return inject_into(call, [other.announcement() for other in others], spec, generator(seed, "test"))
 
 
 def test_one_bit_of_one_process_is_flipped_and_everybody_goes_on() -> None:
@@ -163,7 +164,7 @@ def test_a_program_in_system_calls_all_the_time_is_given_up() -> None:
         target.start()
         record = inject(target, [], fault(register_class="vector"))
         assert record.status == "not_activated"
-        assert session.SYSTEM_CALLS <= record.resampled < 4 * session.SYSTEM_CALLS
+        assert way.SYSTEM_CALLS <= record.resampled < 4 * way.SYSTEM_CALLS
         assert "system call" in record.reason
         target.finish()
         assert target.general()["rax"] == target.pid
@@ -214,11 +215,11 @@ def test_a_target_that_is_not_the_announced_one_is_not_touched() -> None:
         wrong = replace(target.announcement(), boot_id="another")
         call = Call(wrong, 0, lambda: None)
         with pytest.raises(IdentityError, match="boot_id"):
-            inject_at_cpu_time(call, [], fault(), generator(0, "test"))
+            inject_into(call, [], fault(), generator(0, "test"))
         assert tracer_of(target.pid) == 0
         gone = replace(target.announcement(), start_ticks=1)
         with pytest.raises(VanishedError):
-            inject_at_cpu_time(Call(gone, 0, lambda: None), [], fault(), generator(0, "test"))
+            inject_into(Call(gone, 0, lambda: None), [], fault(), generator(0, "test"))
 
 
 def test_others_that_are_gone_are_left_out() -> None:
@@ -228,7 +229,7 @@ def test_others_that_are_gone_are_left_out() -> None:
         other.process.kill()
         other.process.wait()
         call = Call(target.announcement(), 0, lambda: None)
-        record = inject_at_cpu_time(call, [stale], fault(), generator(0, "test"))
+        record = inject_into(call, [stale], fault(), generator(0, "test"))
         assert (record.status, record.threads_stopped) == ("injected", 1)
 
 
@@ -268,7 +269,7 @@ def test_thread_time_counts_between_the_marks_of_a_call(cpu_ns: int, status: set
     target = Announcement("node", process.pid, process.pid, start_ticks(process.pid), boot_id())
     call = Call(target, 0, armed=begin, marked=True)
     # No vector register is in use in Python's loop, or none that matters.
-    record = inject_at_cpu_time(call, [], fault(register_class="vector", cpu_ns=cpu_ns), generator(0, "test"))
+    record = inject_into(call, [], fault(register_class="vector", cpu_ns=cpu_ns), generator(0, "test"))
     assert record.status in status
     assert process.communicate()[0] == b"ended\n"
 
@@ -276,7 +277,7 @@ def test_thread_time_counts_between_the_marks_of_a_call(cpu_ns: int, status: set
 def test_a_fault_without_a_trigger_is_refused() -> None:
     call = Call(announcement("node"), 0, lambda: None)
     with pytest.raises(ValueError, match="trigger"):
-        inject_at_cpu_time(call, [], FaultSpec(target="kernel"), generator(0, "test"))
+        inject_into(call, [], FaultSpec(target="kernel"), generator(0, "test"))
 
 
 @pytest.mark.parametrize("stage", ["timed", "trapped", "standing", "stepped"])

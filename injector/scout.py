@@ -1,0 +1,237 @@
+"""Finding one dynamic instruction of a call before the call is made, by running copies of it ahead.
+
+A scout (:mod:`services.bus.scout`) stands at the beginning of the call. It costs wall time only.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from injector.architecture import decode
+from injector.decode import DecodeError
+from injector.elf import place
+from injector.freeze import Thread, Tracees
+from injector.process import CodeError, Identity, Process
+from injector.ptrace import wait_until
+from injector.trigger import Breakpoint, ThreadTimer, await_trap
+from services.bus.announce import Announcement
+from services.bus.mission import Site, Trigger
+from services.bus.node import GATE_SIGNAL
+
+SHORT_NS = 1_000_000
+"""Longest thread time of a call that is tried in single steps; a longer one surely has too many."""
+
+MOST_STEPS = 150_000
+"""Instructions after which a call counts as too long for the exact rung: some 3 s of wall time."""
+
+WINDOW = 2_000
+"""Most single steps from a breakpoint to the site."""
+
+MOST_HITS = 100_000
+"""Passes through an address beyond which another one is drawn: a second of wall time."""
+
+DRAWS = 4
+"""Places that are drawn before the call is struck by thread time."""
+
+STEPS_A_HIT = 0.4
+"""What a pass through a breakpoint costs, in single steps."""
+
+LIMIT_S = 20.0
+"""Wall time after which a scout is given up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scout:
+    """A copy of the target that stands at the beginning of the call."""
+
+    tracees: Tracees
+    thread: Thread
+    process: Process
+
+    def run(self) -> int:
+        """Run to the end of the call; the thread time that it took, ns."""
+        with ThreadTimer(self.thread, 10**15) as timer:
+            self.tracees.resume(self.thread)
+            self._await()
+            return timer.spent_ns
+
+    def run_for(self, cpu_ns: int) -> bool:
+        """Run for some thread time; whether the call goes on then."""
+        with ThreadTimer(self.thread, cpu_ns) as timer:
+            self.tracees.resume(self.thread)
+            return self._await(insist=timer.insist) == "trapped"
+
+    def count(self, address: int) -> int:
+        """Run to the end of the call; how often it passes an address, 0 if more often than we can afford."""
+        with Breakpoint(self.thread, address) as passes:
+            self.tracees.resume(self.thread)
+            end = self._await(lambda: passes.hits > MOST_HITS)
+            return passes.hits if end == "finished" and passes.hits <= MOST_HITS else 0
+
+    def trace(self, most: int) -> tuple[list[int], bool]:
+        """Execute up to ``most`` instructions; their addresses, and whether the call ended meanwhile."""
+        watchdog = threading.Timer(LIMIT_S, os.kill, (self.thread.pid, signal.SIGKILL))
+        watchdog.start()
+        try:
+            addresses = self.tracees.trace(self.thread, most)
+        finally:
+            watchdog.cancel()
+            watchdog.join()
+        # One that was killed is no call that ended.
+        return addresses, self.thread.report is not None and self.thread.report.kind == "gate"
+
+    def _await(
+        self, finished: Callable[[], bool] = lambda: False, insist: Callable[[], None] = lambda: None
+    ) -> Literal["trapped", "finished", "gone", "late"]:
+        return await_trap(self.tracees, self.thread, finished, LIMIT_S, insist)
+
+
+@contextmanager
+def sent_ahead(target: Announcement, send: Callable[[], None]) -> Iterator[Scout]:
+    """A scout that ``target`` forks once it is told to, at the beginning of its call; gone afterwards.
+
+    :raises IdentityError: if the target is not what it was announced as, or gone.
+    :raises ScoutError: if none comes.
+    """
+    with Process(Identity.announced(target)) as node, Tracees(GATE_SIGNAL, forks=True) as tracees:
+        tracees.seize([node.pid])
+        node.verify()
+        send()
+
+        def forked() -> Thread | None:
+            tracees.service()
+            new = [one for one in tracees.threads.values() if one.pid != node.pid]
+            return new[0] if new and new[0].report is not None and new[0].report.kind == "gate" else None
+
+        thread = wait_until(forked, LIMIT_S)
+        if thread is None:
+            message = f"process {node.pid} sent no scout within {LIMIT_S:g} s"
+            raise ScoutError(message)
+        with Process(Identity.of(thread.pid)) as process, _on_one_processor(thread.pid):
+            try:
+                yield Scout(tracees, thread, process)
+            finally:
+                with suppress(ProcessLookupError):
+                    os.kill(thread.pid, signal.SIGKILL)
+
+
+@contextmanager
+def _on_one_processor(pid: int) -> Iterator[None]:
+    """Hold ourselves and a process on the processor that we are on: stepping is three times as fast."""
+    allowed = os.sched_getaffinity(0)
+    one = {min(allowed)}
+    try:
+        os.sched_setaffinity(pid, one)
+        os.sched_setaffinity(0, one)
+        yield
+    finally:
+        os.sched_setaffinity(0, allowed)
+
+
+class ScoutError(Exception):
+    """The target sends no scout."""
+
+
+def survey(
+    scouts: Callable[[], AbstractContextManager[Scout]], trigger: Trigger, draw: np.random.Generator
+) -> Trigger:
+    """Draw where in the call the fault strikes; each scout that ``scouts`` yields is at its beginning.
+
+    *exact*: uniform over the call's instructions, if there are not too many. *occurrence*: a place by
+    thread time, then one of the passes through it, all alike. If its places are too busy: thread time.
+    """
+    with scouts() as scout:
+        took_ns = scout.run()
+    if took_ns <= SHORT_NS:
+        with scouts() as scout:
+            trace, ended = scout.trace(MOST_STEPS)
+            if ended:
+                step = int(draw.integers(len(trace)))
+                site = approach(scout.process, trace, step).model_copy(update={"step": step})
+                return trigger.model_copy(update={"site": site})
+    for _ in range(DRAWS):
+        with scouts() as scout:
+            if not scout.run_for(int(draw.random() * took_ns)):
+                continue
+            trace, _ = scout.trace(WINDOW)
+            begin = rarest(scout.process, trace)
+            there = place(scout.process.pid, scout.process.maps(), trace[begin])
+        with scouts() as scout:
+            hits = scout.count(trace[begin])
+        if hits:
+            site = Site(
+                rung="occurrence",
+                module=there.module,
+                build_id=there.build_id,
+                offset=there.offset,
+                hit=1 + int(draw.integers(hits)),
+                steps=len(trace) - 1 - begin,
+            )
+            return trigger.model_copy(update={"site": site})
+    return trigger.model_copy(update={"cpu_ns": int(draw.random() * took_ns)})
+
+
+def approach(process: Process, trace: Sequence[int], step: int) -> Site:
+    """The quickest way to an instruction of a call of which every instruction is known."""
+    least = max(0, step - WINDOW)
+    passes = Counter(trace[:least])
+    best, cost, hit = -1, float(step), 0
+    usable = _breakable(process, trace[least : step + 1])
+    for at in range(least, step + 1):
+        passes[trace[at]] += 1
+        costs = passes[trace[at]] * STEPS_A_HIT + step - at
+        if usable[at - least] and costs < cost:
+            best, cost, hit = at, costs, passes[trace[at]]
+    if best < 0:
+        return Site(rung="exact", steps=step)
+    there = place(process.pid, process.maps(), trace[best])
+    return Site(
+        rung="exact",
+        module=there.module,
+        build_id=there.build_id,
+        offset=there.offset,
+        hit=hit,
+        steps=step - best,
+    )
+
+
+def rarest(process: Process, trace: Sequence[int]) -> int:
+    """Index of the last pass through the address that a trace passes least often."""
+    passes = Counter(trace)
+    usable = _breakable(process, trace)
+    return min(
+        (at for at in range(len(trace)) if usable[at]), key=lambda at: (passes[trace[at]], -at), default=0
+    )
+
+
+def _breakable(process: Process, trace: Sequence[int]) -> list[bool]:
+    """Where a breakpoint may stand from which the end of the trace is reached in single steps.
+
+    Not where an instruction follows on itself, whose repetitions the processor may count as one pass,
+    and not before a system call.
+    """
+    repeating = {one for one, other in pairwise(trace) if one == other}
+    steppable = {address: _steppable(process, address) for address in set(trace)}
+    usable = [address not in repeating for address in trace]
+    for at in range(len(trace) - 2, -1, -1):
+        if not steppable[trace[at]]:
+            usable[: at + 1] = [False] * (at + 1)
+            break
+    return usable
+
+
+def _steppable(process: Process, address: int) -> bool:
+    try:
+        return decode(process.read_code(address), address).steppable
+    except (CodeError, DecodeError):
+        return False

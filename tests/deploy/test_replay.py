@@ -1,0 +1,146 @@
+"""An injected flight repeats from its own outcome, and says so when it cannot."""
+
+import json
+import os
+import signal
+import threading
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from dashboard.cli import zenfi
+from deploy.forkserver import ForkServer
+from deploy.mission import fly
+from deploy.pairing import Pairs
+from deploy.replay import replay
+from deploy.supervisor import InfrastructureError
+from services.bus.mission import FaultSpec, MissionSpec, Site, Trigger
+from services.bus.outcome import Outcome
+from tests.conftest import descendants, node, wait_until
+
+SPEC = MissionSpec(seed=7, fault=FaultSpec(target="pid", register_class="vector", seed=2))
+
+
+@pytest.fixture(scope="module")
+def pairs(server: ForkServer) -> Pairs:
+    return Pairs(server)
+
+
+@pytest.fixture(scope="module")
+def first(pairs: Pairs) -> Outcome:
+    return pairs.fly(SPEC)
+
+
+def site(outcome: Outcome) -> Site:
+    assert outcome.spec.fault is not None
+    assert outcome.spec.fault.trigger is not None
+    assert outcome.spec.fault.trigger.site is not None
+    return outcome.spec.fault.trigger.site
+
+
+def altered(outcome: Outcome, **changes: object) -> Outcome:
+    """The outcome with another site in its specification."""
+    fault = outcome.spec.fault
+    assert fault is not None
+    assert fault.trigger is not None
+    trigger = fault.trigger.model_copy(update={"site": site(outcome).model_copy(update=changes)})
+    changed = fault.model_copy(update={"trigger": trigger})
+    return outcome.model_copy(update={"spec": outcome.spec.model_copy(update={"fault": changed})})
+
+
+def test_the_outcome_says_at_which_instruction_the_fault_struck(first: Outcome, server: ForkServer) -> None:
+    assert first.injection is not None
+    assert first.injection.status == "injected"
+    assert first.injection.mode in ("exact", "occurrence")
+    assert first.injection.scouts >= 2
+    assert first.injection.trigger == (first.spec.fault.trigger if first.spec.fault is not None else None)
+    assert site(first).code
+    assert site(first).registers
+    assert not descendants(server.pid)  # scouts and all
+
+
+def test_an_injected_flight_repeats(first: Outcome, server: ForkServer) -> None:
+    answer = replay(first, server)
+    assert (answer.answer, answer.differences) == ("replayed", [])
+
+
+def test_nothing_is_flipped_where_the_site_looks_otherwise(first: Outcome, server: ForkServer) -> None:
+    answer = replay(altered(first, registers="00"), server)
+    assert answer.answer == "diverged"
+    assert "registers" in answer.differences[0]
+
+
+def test_a_site_that_the_call_does_not_come_to_is_not_reached(first: Outcome, server: ForkServer) -> None:
+    answer = replay(altered(first, hit=10**6), server)
+    assert answer.answer == "not_reached"
+
+
+def test_the_command_answers_for_each_flight(first: Outcome, tmp_path: Path) -> None:
+    """As `fly` and as `campaign run` write them."""
+    other = altered(first, code="00")
+    lines = [first.model_dump_json(by_alias=True), f'{{"outcome": {other.model_dump_json(by_alias=True)}}}']
+    file = tmp_path / "flights.json"
+    file.write_text("\n".join([*lines, '{"summary": []}']))
+    answer = CliRunner().invoke(zenfi, ["replay", str(file), "--json"])
+    assert answer.exit_code == 1
+    assert [json.loads(line)["answer"] for line in answer.stdout.splitlines()] == ["replayed", "diverged"]
+
+
+def test_a_fault_at_a_time_of_the_flight_strikes_the_next_call(pairs: Pairs) -> None:
+    fault = FaultSpec(target="octomap", seed=1, trigger=Trigger(over="time", cpu_ns=100_000))
+    outcome = pairs.fly(MissionSpec(seed=7, fault=fault))
+    record = outcome.injection
+    assert record is not None
+    assert record.trigger is not None
+    assert record.trigger.after_ns is not None
+    assert 0 <= record.virtual_time_ns - record.trigger.after_ns < 1_000_000_000
+    assert record.trigger.invocation == record.invocation
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [("", "no flight"), ("{}", "line 1"), ("[1]", "line 1"), ("flight", "line 1")],
+)
+def test_what_is_no_outcome_is_refused(text: str, says: str, tmp_path: Path) -> None:
+    file = tmp_path / "outcome.json"
+    file.write_text(text)
+    answer = CliRunner().invoke(zenfi, ["replay", str(file)])
+    assert answer.exit_code != 0
+    assert says in str(answer.exception)
+
+
+SCOUTED = MissionSpec(seed=7, fault=FaultSpec(target="point_cloud", trigger=Trigger(invocation=5)))
+
+
+def kill_while_scouting(victim: str) -> None:
+    """Kill the injector or the node once the node has sent a scout."""
+
+    def scouting() -> bool:
+        perception = node(os.getpid(), "perception")
+        return perception is not None and bool(descendants(perception))
+
+    wait_until(scouting)
+    pid = node(os.getpid(), victim)
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)
+
+
+def test_an_injector_that_is_killed_while_it_scouts_leaves_nobody(server: ForkServer) -> None:
+    killer = threading.Thread(target=kill_while_scouting, args=("injector",))
+    killer.start()
+    with pytest.raises(InfrastructureError, match="the injector died"):
+        fly(SCOUTED, server)
+    killer.join()
+    assert not descendants(server.pid)
+
+
+def test_a_node_that_is_killed_while_it_scouts_is_a_result(server: ForkServer) -> None:
+    killer = threading.Thread(target=kill_while_scouting, args=("perception",))
+    killer.start()
+    outcome = fly(SCOUTED, server).outcome
+    killer.join()
+    assert outcome.nodes["perception"].causes == ["SIGKILL"]
+    assert outcome.injection is not None
+    assert outcome.injection.status == "not_reached"
+    assert not descendants(server.pid)

@@ -1,0 +1,108 @@
+"""A program that makes a call like a node's: a gate, scouts, and marks where the call begins and ends.
+
+The call is a loop in machine code: ``passes`` times ``add rax,rcx``, then ``ret``.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+from injector.scout import Scout, sent_ahead
+from injector.session import inject as inject_into
+from injector.way import Call
+from services.bus.announce import Announcement, boot_id, start_ticks
+from services.bus.mission import FaultSpec
+from services.bus.outcome import InjectionRecord
+from services.bus.rng import generator
+
+LOOP = "add rax,rcx"
+
+_CALLER = """
+import ctypes, mmap, signal, sys
+sys.path.insert(0, sys.argv[1])
+from services.bus.scout import fork_scout
+libc = ctypes.CDLL(None)
+libc.prctl(0x59616D61, ctypes.c_ulong(-1), 0, 0, 0)  # anybody may trace us
+libc.prctl(1, 9)  # die with the test
+page = mmap.mmap(-1, 4096, prot=7)
+#       xor eax,eax; mov ecx,edi; add rax,rcx; dec ecx; jnz -7; ret
+code = bytes.fromhex("31c0 89f9 4801c8 ffc9 75f9 c3")
+page[:len(code)] = code
+address = ctypes.addressof(ctypes.c_char.from_buffer(page))
+call = ctypes.PYFUNCTYPE(ctypes.c_uint64, ctypes.c_uint32)(address)
+call(1)
+print(address + 4, flush=True)
+while (line := sys.stdin.readline()) != "pass\\n":
+    if line == "scout\\n" and fork_scout():
+        break
+    print("gate", flush=True)
+signal.raise_signal(signal.SIGURG)
+result = call(int(sys.argv[2]))
+signal.raise_signal(signal.SIGURG)
+if line != "scout\\n":
+    print(result, flush=True)
+"""
+
+
+class Caller:
+    """The program while it waits at its gate; ``loop`` is the address of the instruction in the loop."""
+
+    def __init__(self, passes: int) -> None:
+        root = str(Path(__file__).parents[2])
+        self.process = subprocess.Popen(
+            [sys.executable, "-I", "-S", "-c", _CALLER, root, str(passes)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self.pid = self.process.pid
+        self.loop = int(self.line())
+        self.right = passes * (passes + 1) // 2
+
+    def line(self) -> str:
+        assert self.process.stdout is not None
+        return self.process.stdout.readline()
+
+    def tell(self, word: str) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(word + "\n")
+        self.process.stdin.flush()
+
+    def announcement(self) -> Announcement:
+        return Announcement("node", self.pid, self.pid, start_ticks(self.pid), boot_id())
+
+    @contextmanager
+    def ahead(self) -> Iterator[Scout]:
+        """A scout; the program is at its gate again afterwards."""
+        with sent_ahead(self.announcement(), lambda: self.tell("scout")) as scout:
+            yield scout
+        assert self.line() == "gate\n"
+
+    @property
+    def scouts(self) -> Callable[[], AbstractContextManager[Scout]]:
+        return self.ahead
+
+    def inject(self, fault: FaultSpec, seed: int = 0) -> InjectionRecord:
+        call = Call(self.announcement(), 0, armed=lambda: self.tell("pass"), marked=True)
+        return inject_into(call, [], fault, generator(seed, "test"))
+
+    def result(self) -> int:
+        """What the call returned; the program ends."""
+        output, _ = self.process.communicate(timeout=30)
+        assert self.process.returncode == 0
+        return int(output)
+
+
+@contextmanager
+def caller(passes: int) -> Iterator[Caller]:
+    """The program, gone afterwards."""
+    one = Caller(passes)
+    try:
+        yield one
+    finally:
+        one.process.kill()
+        one.process.communicate()

@@ -1,0 +1,218 @@
+"""Scouts tell which instruction to strike, the call then reaches that very one, and none of them is left."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from injector import scout as scouting
+from injector.scout import approach, rarest, survey
+from services.bus.mission import FaultSpec, Site, Trigger
+from services.bus.rng import generator
+from tests.conftest import alive, descendants, wait_until
+from tests.injector.calls import LOOP, caller
+
+pytestmark = pytest.mark.usefixtures("may_inject")
+
+PASSES = 400
+
+
+def at(site: Site) -> FaultSpec:
+    return FaultSpec(
+        target="kernel", operand="source", register_class="gpr", trigger=Trigger(invocation=0, site=site)
+    )
+
+
+def in_the_loop(passing: int) -> dict[str, int]:
+    """What its registers hold before the instruction's ``passing``-th execution."""
+    left = PASSES - passing + 1
+    return {"rcx": left, "rax": sum(range(left + 1, PASSES + 1))}
+
+
+def test_scouts_of_one_call_take_the_same_way() -> None:
+    with caller(PASSES) as one:
+        traces = []
+        for _ in range(2):
+            with one.ahead() as scout:
+                addresses, ended = scout.trace(scouting.MOST_STEPS)
+            assert ended
+            assert addresses.count(one.loop) == PASSES
+            # The interpreter's way into the call depends a little on what it did before.
+            traces.append(addresses[addresses.index(one.loop) :][: 3 * PASSES])
+        assert traces[0] == traces[1]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_exact_rung_strikes_the_drawn_step_of_all(seed: int) -> None:
+    with caller(PASSES) as one:
+        with one.ahead() as scout:
+            every, _ = scout.trace(scouting.MOST_STEPS)
+        trigger = survey(one.scouts, Trigger(invocation=0), generator(seed, "site"))
+        assert trigger.site is not None
+        assert trigger.site.rung == "exact"
+        assert trigger.site.step is not None
+        fault = FaultSpec(target="kernel", trigger=trigger)
+        record = one.inject(fault, seed)
+        assert record.status == "injected", record.reason
+        if not record.resampled and not record.module:
+            assert record.offset == every[trigger.site.step]
+        assert record.trigger is not None
+        assert record.trigger.site is not None
+        assert record.trigger.site.code
+
+
+@pytest.mark.parametrize("passing", [1, 2, 77, PASSES])
+def test_every_way_to_a_step_ends_at_it(passing: int) -> None:
+    """By the quickest way and by steps from the first pass: told by what the loop has in ecx."""
+    with caller(PASSES) as one:
+        with one.ahead() as scout:
+            every, _ = scout.trace(scouting.MOST_STEPS)
+            step = [number for number, address in enumerate(every) if address == one.loop][passing - 1]
+            quickest = approach(scout.process, every, step)
+        record = one.inject(at(quickest), passing)
+        assert (record.status, record.instruction) == ("injected", LOOP)
+        assert int(record.before, 16) == in_the_loop(passing)[record.register_name]
+    with caller(PASSES) as one:
+        walked = Site(rung="exact", offset=one.loop, hit=1, steps=3 * (passing - 1))
+        record = one.inject(at(walked), passing)
+        assert (record.status, record.instruction) == ("injected", LOOP)
+        assert int(record.before, 16) == in_the_loop(passing)[record.register_name]
+
+
+@pytest.mark.parametrize("hit", [1, 3, PASSES])
+def test_the_occurrence_rung_strikes_the_drawn_pass(hit: int) -> None:
+    with caller(PASSES) as one:
+        record = one.inject(at(Site(rung="occurrence", offset=one.loop, hit=hit)))
+        assert (record.status, record.mode, record.instruction) == ("injected", "occurrence", LOOP)
+        found = in_the_loop(hit)
+        assert int(record.before, 16) == found[record.register_name]
+        if record.register_name == "rax":
+            (bit,) = record.bits
+            rest = sum(range(found["rcx"] + 1))
+            assert one.result() == (found["rax"] ^ 1 << bit) + rest & 2**64 - 1
+
+
+def test_a_long_call_is_struck_by_occurrence() -> None:
+    with caller(3_000_000) as one:
+        trigger = survey(one.scouts, Trigger(invocation=0), generator(0, "site"))
+    # The loop passes each of its instructions far too often to be counted: thread time is left.
+    assert trigger.site is None
+    assert trigger.cpu_ns is not None
+    with caller(60_000) as one:
+        trigger = survey(one.scouts, Trigger(invocation=0), generator(0, "site"))
+        assert trigger.site is not None
+        assert trigger.site.rung == "occurrence"
+        assert one.inject(FaultSpec(target="kernel", trigger=trigger)).status == "injected"
+
+
+def test_a_call_that_is_over_before_the_pass_is_not_reached() -> None:
+    with caller(PASSES) as one:
+        record = one.inject(at(Site(rung="occurrence", offset=one.loop, hit=PASSES + 1)))
+        assert (record.status, record.bits) == ("not_reached", [])
+        assert f"{PASSES} of {PASSES + 1}" in record.reason
+        assert one.result() == one.right
+
+
+@pytest.mark.parametrize("field", ["code", "registers"])
+def test_nothing_is_flipped_where_the_site_looks_otherwise(field: str) -> None:
+    with caller(PASSES) as one:
+        site = Site(rung="occurrence", offset=one.loop, hit=7).model_copy(update={field: "00"})
+        record = one.inject(at(site))
+        assert (record.status, record.bits) == ("diverged", [])
+        assert one.result() == one.right
+
+
+def test_code_that_is_not_loaded_is_told() -> None:
+    with caller(PASSES) as one:
+        record = one.inject(at(Site(rung="occurrence", module="libnowhere.so", offset=16, hit=7)))
+        assert record.status == "diverged"
+        assert "libnowhere.so" in record.reason
+        assert one.result() == one.right
+
+
+def test_the_same_site_is_found_again_by_what_was_seen_there() -> None:
+    records = []
+    site = Site(rung="occurrence", hit=11)
+    for _ in range(2):
+        with caller(PASSES) as one:
+            record = one.inject(at(site.model_copy(update={"offset": one.loop})))
+            records.append(record)
+            assert record.trigger is not None
+            assert record.trigger.site is not None
+            site = record.trigger.site
+    assert records[0].status == records[1].status == "injected"
+    assert (records[0].register_name, records[0].bits) == (records[1].register_name, records[1].bits)
+    assert records[0].before == records[1].before
+
+
+def test_a_scout_that_had_to_be_killed_tells_of_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scouting, "LIMIT_S", 0.5)
+    with caller(10**9) as one:
+        with one.ahead() as scout:
+            addresses, ended = scout.trace(10**9)
+        assert addresses
+        assert not ended
+        with one.ahead() as scout:
+            assert scout.count(one.loop) == 0
+
+
+def test_the_rarest_address_of_a_trace_is_passed_last() -> None:
+    with caller(1) as one, one.ahead() as scout:
+        every, _ = scout.trace(3000)
+        index = rarest(scout.process, every[:2000])
+        assert every[:2000].count(every[index]) == min(every[:2000].count(one) for one in every[index:2000])
+
+
+def test_no_scout_is_left_behind() -> None:
+    with caller(PASSES) as one:
+        with one.ahead() as scout:
+            pid = scout.thread.pid
+            assert pid in descendants(one.pid)
+        assert not alive(pid)
+        one.tell("pass")
+        assert one.result() == one.right
+
+
+def test_a_scout_dies_with_its_node() -> None:
+    with caller(2_000_000_000) as one:
+        one.tell("scout")
+        wait_until(lambda: bool(descendants(one.pid)))
+        (pid,) = descendants(one.pid)
+        os.kill(pid, signal.SIGSTOP)  # it is not to end by itself
+        one.process.kill()
+        wait_until(lambda: not alive(pid))
+
+
+KILLED = """
+import sys
+from injector.scout import sent_ahead
+from services.bus.announce import Announcement, boot_id, start_ticks
+pid = int(sys.argv[1])
+node = Announcement("node", pid, pid, start_ticks(pid), boot_id())
+with sent_ahead(node, lambda: print("send", flush=True)) as one:
+    while True:
+        one.trace(100)
+"""
+
+
+def test_a_node_whose_injector_is_killed_while_it_scouts_goes_on() -> None:
+    with caller(PASSES) as one:
+        injector = subprocess.Popen(
+            [sys.executable, "-c", KILLED, str(one.pid)],
+            cwd=Path(__file__).parents[2],
+            stdout=subprocess.PIPE,
+        )
+        assert injector.stdout is not None
+        assert injector.stdout.readline() == b"send\n"
+        one.tell("scout")
+        time.sleep(0.05)
+        os.kill(injector.pid, signal.SIGKILL)
+        injector.communicate()
+        assert one.line() == "gate\n"
+        assert not descendants(one.pid)
+        one.tell("pass")
+        assert one.result() == one.right
