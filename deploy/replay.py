@@ -13,6 +13,7 @@ from services.bus.outcome import InjectionRecord, Outcome
 _SAME = (
     *("status", "mode", "kernel", "invocation", "virtual_time_ns", "module", "build_id", "offset", "symbol"),
     *("instruction_bytes", "operand", "register_name", "width_bits", "bits", "holds_address", "resampled"),
+    *("model", "scope", "element_bits", "instruction_after", "held_instructions", "state", "point"),
 )
 _VALUES = ("before", "after", "read_back")
 
@@ -37,7 +38,9 @@ def replay(first: Outcome, server: ForkServer) -> Replay:
     record = first.injection
     if record is None:
         raise BadSpecError("nothing to replay: no fault was injected in this flight")
-    if record.trigger is None or record.trigger.site is None:
+    if first.spec.clock == "realtime":
+        raise BadSpecError("nothing to replay: a flight in real time does not repeat")
+    if not record.state and (record.trigger is None or record.trigger.site is None):
         message = f"nothing to replay: the fault is {record.status} and tells no site (mode {record.mode})"
         raise BadSpecError(message)
     again = fly(first.spec, server).outcome
