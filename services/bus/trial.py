@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +28,25 @@ class Output(NamedTuple):
     values: NDArray[np.float64]
 
 
-class Trial(Protocol):
+class Trial(ABC):
     """One call of a kernel, its state made anew from the sample."""
 
+    @abstractmethod
     def run(self) -> None:
         """Call the kernel, once; nothing else happens here."""
 
+    @abstractmethod
+    def values(self) -> NDArray[Any]:
+        """The numbers that matter of what the call made."""
+
+    def image(self) -> bytes:
+        """Every bit of what the call made: of the values, if that is all."""
+        values = self.values()
+        return repr(values.shape).encode() + values.tobytes()
+
     def output(self) -> Output:
         """What the call made."""
+        return Output(self.image(), np.asarray(self.values(), dtype=np.float64))
 
 
 class Recording(NamedTuple):
@@ -56,8 +68,3 @@ def cdr(message: Stamped) -> NDArray[np.uint8]:
 def decoded(topic: str, payload: NDArray[np.uint8]) -> Any:
     """The message in such an array; its own arrays are read-only views, as those from the bus are."""
     return decode(payload.tobytes(), TOPICS[topic].type)
-
-
-def numbers(values: NDArray[Any]) -> Output:
-    """The output of a kernel that makes an array."""
-    return Output(repr(values.shape).encode() + values.tobytes(), np.asarray(values, dtype=np.float64))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from services.bus.arrays import plan, state, verdict
 from services.bus.messages import TwistStamped
 from services.bus.topics import TICK_NS
-from services.bus.trial import NoSampleError, Output, Recording, Sample, cdr, decoded, numbers
+from services.bus.trial import NoSampleError, Recording, Sample, Trial, cdr, decoded
 from services.control.follower import Follower
 from services.control.pid import pid
 
@@ -61,7 +61,7 @@ def _replayed(flight: Recording) -> Iterator[tuple[Sample, NDArray[np.float64]]]
                 yield tick | {"trajectory": message}, command
 
 
-class Pid:
+class Pid(Trial):
     """One flight command: vx, vy, vz, m/s, and yaw rate, rad/s."""
 
     def __init__(self, _: str, sample: Sample) -> None:
@@ -76,10 +76,13 @@ class Pid:
         position, velocity, _, yaw = self._here
         self.command = pid(self._trajectory, self._now_s, position, velocity, yaw, TICK_NS / 1e9, self._state)
 
-    def output(self) -> Output:
-        """The command; every bit of it and of the controller's state."""
-        command = numbers(self.command)
-        return command._replace(image=command.image + self._state.tobytes())
+    def values(self) -> NDArray[np.float64]:
+        """The command."""
+        return self.command
+
+    def image(self) -> bytes:
+        """The command and the controller's state."""
+        return super().image() + self._state.tobytes()
 
 
 def _numbers_of(command: TwistStamped) -> NDArray[np.float64]:

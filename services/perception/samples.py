@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from services.bus.arrays import plan, state, verdict
 from services.bus.messages import Header
-from services.bus.trial import NoSampleError, Output, Recording, Sample, cdr, decoded, numbers
+from services.bus.trial import NoSampleError, Recording, Sample, Trial, cdr, decoded
 from services.perception.collision import time_to_collision
 from services.perception.messages import cloud_message, depth_array, pinhole
 from services.perception.occupancy import OccupancyMap
@@ -75,7 +75,7 @@ def _verify(sample: Sample, flight: Recording, found: int) -> None:
         raise NoSampleError("the collision is not in a map of the newest frames alone")
 
 
-class PointCloud:
+class PointCloud(Trial):
     """The newest frame's cloud: points (n, 3), m."""
 
     def __init__(self, _: str, sample: Sample, frame: int = FRAMES - 1) -> None:
@@ -91,12 +91,12 @@ class PointCloud:
         """Make the cloud."""
         self.points = point_cloud(*self._arguments)
 
-    def output(self) -> Output:
+    def values(self) -> NDArray[Any]:
         """Its points."""
-        return numbers(self.points)
+        return self.points
 
 
-class Octomap:
+class Octomap(Trial):
     """The newest cloud inserted into the map of the frames before it.
 
     Every bit is OctoMap's stream with all log-odds; what matters is the label of each voxel in reach
@@ -113,16 +113,20 @@ class Octomap:
         """Insert the cloud."""
         self.occupancy.insert(self._points, self._origin)
 
-    def output(self) -> Output:
-        """The map."""
+    def values(self) -> NDArray[Any]:
+        """The labels."""
         step = self.occupancy.resolution_m
         reach = np.arange(-self.occupancy.range_m, self.occupancy.range_m + step, step)
         around = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
         centres = (np.floor((self._origin + around) / step) + 0.5) * step
-        return Output(self.occupancy.to_stream(), self.occupancy.labels(centres).astype(np.float64))
+        return self.occupancy.labels(centres)
+
+    def image(self) -> bytes:
+        """The map's stream with all log-odds."""
+        return self.occupancy.to_stream()
 
 
-class CollisionCheck:
+class CollisionCheck(Trial):
     """The trajectory checked against the map of all frames: time to collision, s."""
 
     def __init__(self, _: str, sample: Sample) -> None:
@@ -135,9 +139,9 @@ class CollisionCheck:
         """Look for the collision."""
         self.left_s = time_to_collision(self._points, self._checked_s, self._occupancy)
 
-    def output(self) -> Output:
+    def values(self) -> NDArray[Any]:
         """The time left."""
-        return numbers(np.array([self.left_s]))
+        return np.array([self.left_s])
 
 
 def _map(sample: Sample, frames: int) -> OccupancyMap:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from services.bus import rng
 from services.bus.arrays import Plan, plan, xyz
-from services.bus.trial import NoSampleError, Output, Recording, Sample, cdr, decoded, numbers
+from services.bus.trial import NoSampleError, Recording, Sample, Trial, cdr, decoded
 from services.planning.frontier import frontier
 from services.planning.pilot import Request
 from services.planning.planners import plan as find_path
@@ -92,7 +92,7 @@ def _leads_around(sample: Sample) -> bool:
     return bool(legs.sum() > _DETOUR * np.linalg.norm(path[-1] - path[0]))
 
 
-class Planner:
+class Planner(Trial):
     """One planner's path around what is in the way: corners (n, 3), m."""
 
     def __init__(self, kernel: str, sample: Sample) -> None:
@@ -108,12 +108,12 @@ class Planner:
             self._planner, self._grid, self._departure.position, self._goal, self._seed, NEAR
         )
 
-    def output(self) -> Output:
+    def values(self) -> NDArray[Any]:
         """The path; without rows if there is none."""
-        return numbers(np.empty((0, 3)) if self.path is None else self.path)
+        return np.empty((0, 3)) if self.path is None else self.path
 
 
-class Sweep:
+class Sweep(Trial):
     """The lanes over the space between the vehicle and its goal, and some more: their ends (2n, 3), m."""
 
     def __init__(self, _: str, sample: Sample) -> None:
@@ -126,12 +126,12 @@ class Sweep:
         """Lay the lanes."""
         self.ends = lawn_mower(self._low, self._high, self._start, _SPACING_M)
 
-    def output(self) -> Output:
+    def values(self) -> NDArray[Any]:
         """Their ends."""
-        return numbers(self.ends)
+        return self.ends
 
 
-class Frontier:
+class Frontier(Trial):
     """The place from which to see more of that space: (1, 3), m."""
 
     def __init__(self, _: str, sample: Sample) -> None:
@@ -148,12 +148,12 @@ class Frontier:
         around = grid.levels, self._known, grid.origin, grid.resolution_m
         self.place = frontier(*around, *self._area, self._departure.position, np.empty((0, 3)))
 
-    def output(self) -> Output:
+    def values(self) -> NDArray[Any]:
         """The place; without rows if there is none."""
-        return numbers(self.place.reshape(-1, 3))
+        return self.place.reshape(-1, 3)
 
 
-class Smoothing:
+class Smoothing(Trial):
     """The trajectory along the path that the flight's planner found: rows (n, 12), as on the bus."""
 
     def __init__(self, _: str, sample: Sample) -> None:
@@ -166,9 +166,9 @@ class Smoothing:
         """Smooth the path."""
         self.rows = trajectory(self._path, self._departure, self._grid, NEAR, *self._limits)
 
-    def output(self) -> Output:
+    def values(self) -> NDArray[Any]:
         """The trajectory; without rows if there is none."""
-        return numbers(np.empty((0, 12)) if self.rows is None else self.rows)
+        return np.empty((0, 12)) if self.rows is None else self.rows
 
 
 def problem(sample: Sample) -> tuple[VoxelGrid, Departure]:
