@@ -95,6 +95,11 @@ class CampaignStates:
         """Every run's state."""
         return MappingProxyType(self._runs)
 
+    @property
+    def leases(self) -> set[str]:
+        """The leases that stand."""
+        return set(self._leases)
+
     def count(self, *phases: RunPhase) -> int:
         """How many runs are in any of ``phases``."""
         return sum(self._counts[phase] for phase in phases)
