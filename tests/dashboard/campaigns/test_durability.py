@@ -17,19 +17,19 @@ from tests.conftest import alive, descendants, wait_until
 ZENFI = str(Path(sys.executable).parent / "zenfi")
 SPEC = """
 name = "hard"
-runs = 6
+runs = {runs}
 worlds = ["sparse", "dense"]
-mission = {limits = {mission_time_s = 0.6}}
-limits = {attempts = 20}
-arms = [{name = "golden"}, {name = "flip", fault = {target = "pid"}}]
+mission = {{limits = {{mission_time_s = 0.6}}}}
+limits = {{attempts = 20, disk_mb = {disk_mb}}}
+arms = [{{name = "golden"}}, {{name = "flip", fault = {{target = "pid"}}}}]
 """
 RUNS = 24
 PATIENCE_S = 300.0
 
 
-def spec(folder: Path) -> str:
+def spec(folder: Path, runs: int = RUNS // 4, disk_mb: int = 1000) -> str:
     path = folder / "hard.toml"
-    path.write_text(SPEC)
+    path.write_text(SPEC.format(runs=runs, disk_mb=disk_mb))
     return str(path)
 
 
@@ -134,9 +134,7 @@ def test_ctrl_c_pauses_and_says_how_to_go_on(tmp_path: Path) -> None:
 
 def test_a_full_store_pauses_the_campaign_and_loses_nothing(tmp_path: Path) -> None:
     store = tmp_path / "store"
-    path = tmp_path / "small.toml"
-    path.write_text(SPEC.replace("attempts = 20", "disk_mb = 1"))
-    with zenfi(store, "run", str(path)) as command:
+    with zenfi(store, "run", spec(tmp_path, runs=2, disk_mb=1)) as command:
         until(store, 1, command)
         fill(store)
         _, said = command.communicate(timeout=PATIENCE_S)
@@ -150,7 +148,7 @@ def test_a_full_store_pauses_the_campaign_and_loses_nothing(tmp_path: Path) -> N
     drain(store)
     with zenfi(store, "resume") as command:
         assert command.wait(PATIENCE_S) == 0
-    assert [record.phase for record in records(store)] == ["done"] * RUNS
+    assert [record.phase for record in records(store)] == ["done"] * 8
 
 
 def fill(store: Path) -> None:
