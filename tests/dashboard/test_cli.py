@@ -146,7 +146,7 @@ def test_a_stopped_campaign_leaves_nothing_behind(stop: int, status: int) -> Non
     with subprocess.Popen(
         [ZENFI, "campaign", "run", "demo", "--json"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     ) as command:
-        wait_until(lambda: node(command.pid, "control") is not None)
+        wait_until(lambda: node(command.pid, "control") is not None, 120.0)
         family = descendants(command.pid)
         os.kill(command.pid, stop)
         assert command.wait(timeout=20) == status
