@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from dashboard import tables
+from dashboard.campaigns.database import StoreFullError
 from dashboard.campaigns.spec import load_campaign
 from dashboard.commands.bench import bench
 from dashboard.commands.campaign import as_picture, campaign, in_store
@@ -121,7 +122,7 @@ def main() -> None:
         _give_up(text, 2)
     except ValidationError as error:
         _give_up(one_line(error), 2)
-    except (InfrastructureError, ForkServerError) as error:
+    except (InfrastructureError, ForkServerError, StoreFullError) as error:
         _give_up(str(error), 1)
     except (KeyboardInterrupt, click.Abort):
         _give_up("interrupted", 130)

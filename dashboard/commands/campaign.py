@@ -55,11 +55,14 @@ def run(spec: str, slots: int | None, store: Path, as_json: bool, svg: Path | No
 
 @campaign.command()
 @click.argument("label", required=False)
+@click.option("--disk-mb", type=click.IntRange(1), help="Let the store grow to this instead.")
 @in_slots
 @in_store
 @as_json
 @as_picture
-def resume(label: str | None, slots: int | None, store: Path, as_json: bool, svg: Path | None) -> None:
+def resume(
+    label: str | None, disk_mb: int | None, slots: int | None, store: Path, as_json: bool, svg: Path | None
+) -> None:
     """Fly what is left of the campaign LABEL (default: the last unfinished one)."""
     with contextlib.closing(Store(store)) as opened:
         if label is None:
@@ -73,7 +76,8 @@ def resume(label: str | None, slots: int | None, store: Path, as_json: bool, svg
         if found.phase in ("done", "cancelled"):
             message = f"{found.label} is {found.phase}: nothing to resume"
             raise BadSpecError(message)
-        fly(opened, found, slots, as_json, svg)
+        limit_mb = disk_mb or found.spec.limits.disk_mb
+        fly(opened, found, slots, limit_mb, as_json, svg)
 
 
 @campaign.command("list")

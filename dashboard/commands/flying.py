@@ -45,11 +45,14 @@ def run_new(spec: CampaignSpec, slots: int | None, folder: Path, as_json: bool, 
             click.echo(json.dumps({"campaign": created.label, "forecast": plan.model_dump()}))
         else:
             messages.print(tables.forecast(created.label, plan))
-        fly(store, created, slots, as_json, svg)
+        fly(store, created, slots, spec.limits.disk_mb, as_json, svg)
 
 
-def fly(store: Store, found: Campaign, slots: int | None, as_json: bool, svg: Path | None) -> None:
-    """Fly what is left of a campaign, and tell what it has found."""
+def fly(
+    store: Store, found: Campaign, slots: int | None, disk_mb: int, as_json: bool, svg: Path | None
+) -> None:
+    """Fly what is left of a campaign while the store stays below ``disk_mb``; tell what it has found."""
+    store.limit(disk_mb)
     with store.lock(found):
         scheduler = _fly_under_lock(store, found, slots, as_json)
     tell(found, scheduler.states.phase, summary(store, found), as_json, svg)
@@ -66,7 +69,6 @@ def _fly_under_lock(store: Store, found: Campaign, slots: int | None, as_json: b
         if record.result is not None:
             rule.add(record.cell, success=record.result.success)
     limits = found.spec.limits
-    store.limit(limits.disk_mb)
     with contextlib.closing(LocalExecutor(slots, limits.lease_s, store.artefacts(found))) as executor:
         scheduler = Scheduler(
             store.states(found),
@@ -86,8 +88,8 @@ def _fly_under_lock(store: Store, found: Campaign, slots: int | None, as_json: b
         except StoreFullError as error:
             _leave(scheduler, "the store is full")
             message = (
-                f"{found.label} is paused: {error}; nothing is lost: make room or raise limits.disk_mb, "
-                f"then zenfi campaign resume {found.label}"
+                f"{found.label} is paused: {error}; nothing is lost: make room on the disk or in the quota "
+                f"(--disk-mb), then zenfi campaign resume {found.label}"
             )
             raise InfrastructureError(message) from error
         except InfrastructureError as error:
