@@ -136,7 +136,7 @@ class Scheduler:
     def _finished(self, index: int, outcome: Outcome | None) -> Finished:
         run = self._planned[index]
         if outcome is not None:
-            self._rule.add(run.cell, success=outcome.qof.success)
+            self._rule.add(run.cell, run.index, success=outcome.qof.success)
         return Finished(run, outcome, self.states.runs[index].error)
 
 
@@ -146,6 +146,6 @@ def fly_all(runs: Iterable[Run], slots: int | None = None) -> Iterator[Finished]
     limits = CampaignLimits()
     states = CampaignStates({index: RunState() for index in planned}, limits.attempts)
     last = max((run.index for run in planned.values()), default=0)
-    rule = StoppingRule(None, (), last + 1)
+    rule = StoppingRule(None, (run.cell for run in planned.values()), last + 1)
     with closing(LocalExecutor(slots, limits.lease_s)) as executor:
         yield from Scheduler(states, planned, executor, rule, limits.lease_s, lambda *_: None).fly()

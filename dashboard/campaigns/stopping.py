@@ -20,18 +20,16 @@ class StoppingRule:
         self._margin = stop.margin if stop is not None else 0.0
         self._looks = (*(stop.looks if stop is not None else ()), runs)
         self._look = 0
-        self._flown: Counter[Cell] = Counter()
-        self._successes: Counter[Cell] = Counter()
+        self._flown: dict[Cell, dict[int, bool]] = {cell: {} for cell in self._planned}
 
     @property
     def released(self) -> int:
         """Runs with a smaller number may fly."""
         return self._looks[self._look]
 
-    def add(self, cell: Cell, *, success: bool) -> None:
-        """Take in a flight."""
-        self._flown[cell] += 1
-        self._successes[cell] += success
+    def add(self, cell: Cell, number: int, *, success: bool) -> None:
+        """Take in a flight, of now or of before an interruption."""
+        self._flown[cell][number] = success
 
     def look(self) -> bool:
         """Everything released has ended: whether that is enough. If not, the next runs are released."""
@@ -41,10 +39,13 @@ class StoppingRule:
         return False
 
     def _enough(self) -> bool:
-        level = 1 - ERROR / len(self._looks)
+        # A cell that can fly no more cannot become any narrower.
         return all(
-            # A cell that can fly no more cannot become any narrower.
-            planned <= self.released
-            or wilson(self._successes[cell], self._flown[cell], level).width <= 2 * self._margin
-            for cell, planned in self._planned.items()
+            planned <= self.released or self._is_narrow(cell) for cell, planned in self._planned.items()
         )
+
+    def _is_narrow(self, cell: Cell) -> bool:
+        # A resumed campaign may know flights beyond this look: they must not sway it.
+        seen = [success for number, success in self._flown[cell].items() if number < self.released]
+        level = 1 - ERROR / len(self._looks)
+        return wilson(sum(seen), len(seen), level).width <= 2 * self._margin

@@ -67,7 +67,7 @@ def _fly_under_lock(store: Store, found: Campaign, slots: int | None, as_json: b
     rule = StoppingRule(found.spec.stop, (run.cell for run in planned.values()), found.spec.runs)
     for record in store.records(found):
         if record.result is not None:
-            rule.add(record.cell, success=record.result.success)
+            rule.add(record.cell, record.number, success=record.result.success)
     limits = found.spec.limits
     with contextlib.closing(LocalExecutor(slots, limits.lease_s, store.artefacts(found))) as executor:
         scheduler = Scheduler(

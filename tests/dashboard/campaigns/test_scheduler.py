@@ -90,8 +90,8 @@ def rule_after(stop: Stop | None, successes: Mapping[str, Sequence[int]], runs_:
     named = {cell.arm: cell for cell in cells(campaign)}
     rule = StoppingRule(stop, [cell for cell in cells(campaign) for _ in range(runs_)], runs_)
     for name, flights in successes.items():
-        for success in flights:
-            rule.add(named[name], success=bool(success))
+        for number, success in enumerate(flights):
+            rule.add(named[name], number, success=bool(success))
     return rule
 
 
@@ -110,6 +110,14 @@ def test_looks_share_the_error() -> None:
     assert rule_after(Stop(margin=0.054, looks=(100,)), {"a": flights}, 200).look() is False
     assert rule_after(Stop(margin=0.07, looks=(100, 150)), {"a": flights}, 200).look() is True
     assert rule_after(Stop(margin=0.058, looks=(100, 150)), {"a": flights}, 200).look() is False
+
+
+def test_flights_beyond_a_look_do_not_sway_it() -> None:
+    # Resumed after the first look was not enough: the flights since then are not yet looked at.
+    rule = rule_after(Stop(margin=0.1, looks=(20, 200)), {"a": [0, 1] * 10 + [1] * 100}, 400)
+    assert rule.released == 20
+    assert not rule.look()
+    assert rule.released == 200
 
 
 def test_runs_of_one_twin_go_to_one_worker_together(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -145,7 +153,14 @@ def test_what_cannot_be_written_is_not_counted(monkeypatch: pytest.MonkeyPatch) 
 
     finished: list[Finished] = []
     with closing(LocalExecutor(1, 60.0)) as executor:
-        scheduler = Scheduler(states, planned, executor, StoppingRule(None, (), 5), 60.0, write)
+        scheduler = Scheduler(
+            states,
+            planned,
+            executor,
+            StoppingRule(None, (run.cell for run in planned.values()), 5),
+            60.0,
+            write,
+        )
         with pytest.raises(OSError, match="full"):
             finished.extend(scheduler.fly())
     assert finished == []
