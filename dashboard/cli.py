@@ -8,28 +8,20 @@ from __future__ import annotations
 
 import json
 import sys
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import click
 from pydantic import ValidationError
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from dashboard import tables
-from dashboard.campaigns.local import Finished, fly_all
-from dashboard.campaigns.spec import CampaignSpec, load_campaign, runs
-from dashboard.campaigns.summary import summarise
+from dashboard.campaigns.database import StoreFullError
+from dashboard.campaigns.spec import load_campaign
 from dashboard.commands.bench import bench
+from dashboard.commands.campaign import as_picture, campaign, in_store
 from dashboard.commands.fault import FORM, parse_fault
+from dashboard.commands.flying import run_new
 from dashboard.commands.options import as_json
 from dashboard.commands.redundancy import redundancy
 from dashboard.commands.replay import replay
@@ -41,13 +33,6 @@ from deploy.forkserver import ForkServer, ForkServerError
 from deploy.pairing import NothingToInjectError, Pairs
 from deploy.supervisor import InfrastructureError
 from services.bus.mission import MissionSpec
-
-messages = Console(stderr=True)
-
-as_picture = click.option(
-    "--svg", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Also draw the table."
-)
-PICTURE_COLUMNS = 90
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -107,69 +92,16 @@ zenfi.add_command(replay)
 zenfi.add_command(redundancy)
 
 
-@zenfi.group()
-def campaign() -> None:
-    """Many flights, compared."""
-
-
-@campaign.command("run")
-@click.argument("spec")
-@click.option("--slots", type=click.IntRange(1, 256), help="Flights at a time (default: one per processor).")
-@as_json
-@as_picture
-def campaign_run(spec: str, slots: int | None, as_json: bool, svg: Path | None) -> None:
-    """Fly the campaign in the TOML file SPEC, or the preset of that name."""
-    _run(load_campaign(spec), slots, as_json, svg)
+zenfi.add_command(campaign)
 
 
 @zenfi.command()
+@in_store
 @as_json
 @as_picture
-def demo(as_json: bool, svg: Path | None) -> None:
+def demo(store: Path, as_json: bool, svg: Path | None) -> None:
     """A small campaign in Sparse: golden flights beside flights with one flipped bit."""
-    _run(load_campaign("demo"), None, as_json, svg)
-
-
-def _run(spec: CampaignSpec, slots: int | None, as_json: bool, svg: Path | None) -> None:
-    planned = list(runs(spec))
-    finished: list[Finished] = []
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=messages) as progress:
-        task = progress.add_task(spec.name, total=len(planned))
-        for one in fly_all(planned, slots):
-            finished.append(one)
-            progress.advance(task)
-            if one.outcome is None:
-                progress.console.print(
-                    f"[red]not flown[/red]: {one.run.arm}, run {one.run.index}: {one.error}"
-                )
-            if as_json:
-                _line(one)
-    summary = summarise([arm.name for arm in spec.arms], finished)
-    if as_json:
-        click.echo(json.dumps({"summary": [line.model_dump() for line in summary]}))
-    else:
-        Console().print(tables.campaign(spec.name, summary))
-    if svg is not None:
-        paper = Console(record=True, file=StringIO(), width=PICTURE_COLUMNS)
-        paper.print(tables.campaign(spec.name, summary))
-        paper.save_svg(str(svg), title=f"zenfi campaign run {spec.name}")
-    if any(one.outcome is None for one in finished):
-        sys.exit(1)
-
-
-def _line(one: Finished) -> None:
-    head: dict[str, Any] = {"arm": one.run.arm, "index": one.run.index}
-    if one.outcome is None:
-        click.echo(json.dumps({**head, "error": one.error}))
-    else:
-        click.echo(json.dumps({**head, "outcome": one.outcome.model_dump(mode="json", by_alias=True)}))
+    run_new(load_campaign("demo"), None, store, as_json, svg)
 
 
 @zenfi.command()
@@ -195,7 +127,7 @@ def main() -> None:
         _give_up(text, 2)
     except ValidationError as error:
         _give_up(one_line(error), 2)
-    except (InfrastructureError, ForkServerError) as error:
+    except (InfrastructureError, ForkServerError, StoreFullError) as error:
         _give_up(str(error), 1)
     except (KeyboardInterrupt, click.Abort):
         _give_up("interrupted", 130)

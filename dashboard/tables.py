@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.table import Table
 
-from dashboard.campaigns.summary import ArmSummary
+from dashboard.campaigns.compare import Comparison
+from dashboard.campaigns.forecast import Forecast
+from dashboard.campaigns.statistics.proportions import Interval
+from dashboard.campaigns.summary import CellSummary
 from injector.preflight import Finding
 from services.bus.outcome import InjectionRecord, NodeReport, Outcome
 
@@ -74,29 +77,99 @@ def _number(value: float, unit: str) -> str:
     return f"{text} {unit}".strip()
 
 
-def campaign(name: str, summary: Sequence[ArmSummary]) -> Table:
-    """Quality of flight per arm; fits a terminal of 80 columns."""
+def campaign(name: str, summary: Sequence[CellSummary]) -> Table:
+    """Quality of flight per cell; fits a terminal of 80 columns."""
     table = Table(
         title=f"{name}: quality of flight per arm",
         caption="95 %: Wilson interval of success. s, m, kJ: medians of successes; plans: mean of replans. "
-        "hit: flights in which the bit was flipped; then what became of the node aimed at.",
+        "hit: flights in which the bit was flipped; then what became of the node aimed at in these.",
         box=None,
         padding=(0, 1, 0, 0),
     )
     table.add_column("arm")
     for column in ("success", "95 %", "s", "m", "kJ", "plans", "hit", *NODE_RESULTS):
         table.add_column(column, justify="right")
+    many_worlds = len({line.world for line in summary}) > 1
     for line in summary:
-        aimed = bool(line.results)
+        parts = (line.arm, line.world if many_worlds else "", line.fault)
         table.add_row(
-            line.arm,
+            " ".join(part for part in parts if part),
             f"{line.successes}/{line.runs - line.failed_to_fly}",
             f"{100 * line.success_low:.0f}-{100 * line.success_high:.0f}",
             *(_cell(value) for value in (line.flight_time_s, line.distance_m, line.energy_kj, line.replans)),
-            str(line.injected) if aimed else "-",
-            *(str(line.results.get(result, 0)) if aimed else "-" for result in NODE_RESULTS),
+            str(line.injected) if line.aimed else "-",
+            *(str(line.results.get(result, 0)) if line.aimed else "-" for result in NODE_RESULTS),
         )
     return table
+
+
+def campaigns(lines: Sequence[Mapping[str, object]]) -> Table:
+    """The campaigns of a store."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for column in ("campaign", "phase", "done", "of", "failed", "created", "reason"):
+        table.add_column(column, justify="right" if column in ("done", "of", "failed") else "left")
+    for line in lines:
+        names = ("campaign", "phase", "done", "runs", "failed", "created", "reason")
+        table.add_row(*(str(line[name]) for name in names))
+    return table
+
+
+def forecast(label: str, plan: Forecast) -> str:
+    """One paragraph: what a campaign takes and can tell."""
+    minutes = plan.hours * 60
+    time = f"{minutes / 60:.1f} h" if minutes >= 90 else f"{max(minutes, 1):.0f} min"
+    source = "as flights took here" if plan.measured else "a guess: nothing was flown here yet"
+    drop = plan.resolvable_drop
+    tells = (
+        f"a drop of success from 95 % by {100 * drop:.0f} points"
+        if drop is not None
+        else "no drop of success from 95 %"
+    )
+    return (
+        f"{label}: {plan.runs} flights in {plan.cells} cells and {plan.twins} golden twins, about {time} "
+        f"({source}), {plan.disk_mb:.1f} MB. {plan.per_cell} flights a cell can tell {tells} "
+        "(two cells, 80 % power)."
+    )
+
+
+def comparison(label: str, compared: Sequence[Comparison]) -> Table:
+    """Cells beside their reference; fits a terminal of 80 columns."""
+    table = Table(
+        title=f"{label}: beside {compared[0].reference}",
+        caption="success: of the cell, of its reference; change in points, Newcombe's paired 95 % interval; "
+        "p: exact McNemar, Holm-adjusted. s, kJ: median of the paired difference where both arrived "
+        "(both), bootstrap 95 %; p95: its 95th percentile.",
+        box=None,
+        padding=(0, 1, 0, 0),
+    )
+    table.add_column("cell")
+    for column in ("n", "success", "change", "p", "both", "s", "s p95", "kJ"):
+        table.add_column(column, justify="right")
+    for one in compared:
+        change = f"{100 * (one.success_difference or 0.0):+.0f}\n{_range(one.success_interval, 100)}"
+        table.add_row(
+            one.cell,
+            str(one.pairs),
+            f"{one.successes}\n{one.reference_successes}",
+            change,
+            f"{one.p_adjusted:.2g}",
+            str(one.flight_time_s.pairs),
+            _quantile(one.flight_time_s.median, one.flight_time_s.median_interval),
+            _quantile(one.flight_time_s.p95, one.flight_time_s.p95_interval),
+            _quantile(one.energy_kj.median, one.energy_kj.median_interval),
+        )
+    return table
+
+
+def _quantile(value: float | None, interval: Interval | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:+.1f}\n{_range(interval, 1) if interval is not None else '-'}"
+
+
+def _range(interval: Interval, scale: float) -> str:
+    digits = 0 if scale > 1 else 1
+    return f"{scale * interval.low:+.{digits}f}..{scale * interval.high:+.{digits}f}"
 
 
 def _cell(value: float | None) -> str:

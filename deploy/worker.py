@@ -2,7 +2,8 @@
 
 One slot of a campaign is one worker with a fork server of its own, held on one processor: neighbours
 on the bus then wake each other without crossing processors, and slots do not disturb each other.
-A line in is a :class:`MissionSpec`; a line out is ``{"outcome": ...}`` or ``{"error": ...}``.
+A line in is a :class:`MissionSpec`; a line out is ``{"outcome": ...}`` or ``{"error": ...}``, and every
+few seconds ``{"alive": true}``, so that a worker that was stopped is told from one that is busy.
 """
 
 from __future__ import annotations
@@ -12,11 +13,14 @@ import json
 import os
 import signal
 import sys
+import threading
 
 from deploy.forkserver import PR_SET_PDEATHSIG, ForkServer, ForkServerError
 from deploy.pairing import NothingToInjectError, Pairs
 from deploy.supervisor import InfrastructureError
 from services.bus.mission import MissionSpec
+
+HEARTBEAT_S = 2.0
 
 
 def main() -> None:
@@ -27,12 +31,30 @@ def main() -> None:
         os.sched_setaffinity(0, {cpu})
     server = ForkServer()
     pairs = Pairs(server)
+    ended = threading.Event()
+    heart = threading.Thread(target=_beat, args=(ended,), daemon=True)
+    heart.start()
     try:
         for line in sys.stdin:
-            sys.stdout.write(_fly(pairs, line) + "\n")
-            sys.stdout.flush()
+            _say(_fly(pairs, line))
     finally:
+        ended.set()
+        heart.join()
         server.close()
+
+
+_mouth = threading.Lock()
+
+
+def _say(line: str) -> None:
+    with _mouth:
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()
+
+
+def _beat(ended: threading.Event) -> None:
+    while not ended.wait(HEARTBEAT_S):
+        _say(json.dumps({"alive": True}))
 
 
 def _fly(pairs: Pairs, line: str) -> str:

@@ -1,121 +1,199 @@
-"""The local executor: as many workers as slots, each on a processor of its own."""
+"""The local executor: as many worker processes as slots, each on a processor of its own."""
 
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import os
-import queue
+import selectors
 import subprocess
 import sys
-import threading
-from collections.abc import Iterable, Iterator
+import time
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-from dashboard.campaigns.spec import Run
+from dashboard.campaigns.events import Alive, Flown, Lost, NotFlown, Started
+from deploy.supervisor import InfrastructureError
+from services.bus.mission import MissionSpec
 from services.bus.outcome import Outcome
+
+READ_BYTES = 1 << 16
+LOSSES_IN_A_ROW = 10
+"""Workers lost without a flight in between, after which the fault is not the flights'."""
 
 
 @dataclass(frozen=True, slots=True)
-class Finished:
-    """A run with its outcome, or with the line that says why we failed to fly it."""
+class Task:
+    """Runs that one worker is to fly one after the other, by id."""
 
-    run: Run
-    outcome: Outcome | None
-    error: str = ""
-
-
-class _Slot(threading.Thread):
-    """One worker process and the thread that feeds it."""
-
-    def __init__(
-        self,
-        cpu: int,
-        todo: queue.SimpleQueue[list[Run]],
-        done: queue.SimpleQueue[Finished | Exception | None],
-    ) -> None:
-        super().__init__(daemon=True)
-        self._cpu, self._todo, self._done = cpu, todo, done
-        self._worker = _start_worker(cpu)
-
-    def run(self) -> None:
-        try:
-            while True:
-                try:
-                    group = self._todo.get_nowait()
-                except queue.Empty:
-                    return
-                for run in group:
-                    self._done.put(self._fly(run))
-        except Exception as error:  # noqa: BLE001 - a bug of ours must not die with its thread
-            self._done.put(error)
-        finally:
-            self._done.put(None)
-
-    def _fly(self, run: Run) -> Finished:
-        line = _ask(self._worker, run)
-        if not line:
-            self.close()
-            self._worker = _start_worker(self._cpu)
-            line = _ask(self._worker, run)
-        if not line:
-            return Finished(run, None, "the worker died, twice")
-        answer = json.loads(line)
-        if "error" in answer:
-            return Finished(run, None, answer["error"])
-        return Finished(run, Outcome.model_validate(answer["outcome"]))
-
-    def close(self) -> None:
-        """End the worker; its fork server and nodes end with it."""
-        self._worker.kill()
-        self._worker.communicate()
+    lease: str
+    runs: Sequence[tuple[int, MissionSpec]]
 
 
-def _start_worker(cpu: int) -> subprocess.Popen[str]:
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a worker told, or what became of it."""
+
+    event: Started | Alive | Flown | NotFlown | Lost
+    outcome: Outcome | None = None
+
+
+class _Slot:
+    """One worker process and what it has to do."""
+
+    def __init__(self, cpu: int, log: Path | None) -> None:
+        self._cpu, self._log = cpu, log
+        self.lease = ""
+        self.todo: deque[tuple[int, MissionSpec]] = deque()
+        self.flying: int | None = None
+        self._heard = b""
+        self.worker = self._start()
+
+    def _start(self) -> subprocess.Popen[bytes]:
+        with contextlib.ExitStack() as stack:
+            log = stack.enter_context(self._log.open("ab")) if self._log is not None else None
+            return start_worker(self._cpu, log.fileno() if log is not None else None)
+
+    @property
+    def output(self) -> int:
+        assert self.worker.stdout is not None  # noqa: S101 - asked for
+        return self.worker.stdout.fileno()
+
+    def hear(self) -> list[bytes] | None:
+        """Whole lines that have come; None if the worker is gone."""
+        data = os.read(self.output, READ_BYTES)
+        if not data:
+            return None
+        *lines, self._heard = (self._heard + data).split(b"\n")
+        return lines
+
+    def begin_next(self) -> int | None:
+        """Send the next run; its id, None if there is none."""
+        if not self.todo:
+            self.lease, self.flying = "", None
+            return None
+        self.flying, spec = self.todo.popleft()
+        assert self.worker.stdin is not None  # noqa: S101 - asked for
+        with contextlib.suppress(BrokenPipeError):  # its end is heard of in a moment
+            self.worker.stdin.write(spec.model_dump_json().encode() + b"\n")
+            self.worker.stdin.flush()
+        return self.flying
+
+    def end(self) -> None:
+        """Kill the worker; its fork server and nodes end with it."""
+        self.worker.kill()
+        with contextlib.suppress(BrokenPipeError):
+            self.worker.communicate()
+
+    def restart(self) -> None:
+        """A new worker that knows nothing of the old one's runs."""
+        self.end()
+        self.lease, self.flying, self._heard = "", None, b""
+        self.todo.clear()
+        self.worker = self._start()
+
+
+def start_worker(cpu: int, log: int | None) -> subprocess.Popen[bytes]:
+    """A worker on a processor; its messages go to the file ``log``, or to ours."""
     return subprocess.Popen(  # noqa: S603 - our own interpreter and module
         [sys.executable, "-m", "deploy.worker", str(cpu)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        text=True,
+        stderr=log,
         start_new_session=True,
     )
 
 
-def _ask(worker: subprocess.Popen[str], run: Run) -> str:
-    """The worker's answer, empty if it died."""
-    assert worker.stdin is not None  # noqa: S101 - asked for above
-    assert worker.stdout is not None  # noqa: S101 - asked for above
-    with contextlib.suppress(BrokenPipeError):
-        worker.stdin.write(run.spec.model_dump_json() + "\n")
-        worker.stdin.flush()
-    return worker.stdout.readline()
+class LocalExecutor:
+    """Workers on this machine. ``close`` ends everything that was started."""
 
+    def __init__(self, slots: int | None, lease_s: float, logs: Path | None = None) -> None:
+        cpus = sorted(os.sched_getaffinity(0))
+        self.slots = slots or len(cpus)
+        self._lease_s = lease_s
+        self._losses = 0
+        self._crew: list[_Slot] = []
+        self._selector = selectors.DefaultSelector()
+        for index in range(self.slots):
+            log = logs / f"worker-{index}.log" if logs is not None else None
+            self._crew.append(_Slot(cpus[index % len(cpus)], log))
+            self._selector.register(self._crew[-1].output, selectors.EVENT_READ, self._crew[-1])
 
-def fly_all(runs: Iterable[Run], slots: int | None = None) -> Iterator[Finished]:
-    """Fly every run, yielding each as it ends. Leaving early ends everything that was started.
+    @property
+    def leases(self) -> set[str]:
+        """What is being worked on."""
+        return {slot.lease for slot in self._crew if slot.lease}
 
-    The runs of one seed go to one worker, which flies their golden twin once.
-    """
-    cpus = sorted(os.sched_getaffinity(0))
-    todo: queue.SimpleQueue[list[Run]] = queue.SimpleQueue()
-    done: queue.SimpleQueue[Finished | Exception | None] = queue.SimpleQueue()
-    for _, group in itertools.groupby(runs, key=lambda run: run.index):
-        todo.put(list(group))
-    crew: list[_Slot] = []
-    try:
-        crew.extend(_Slot(cpus[index % len(cpus)], todo, done) for index in range(slots or len(cpus)))
-        for slot in crew:
-            slot.start()
-        working = len(crew)
-        while working:
-            finished = done.get()
-            if isinstance(finished, Exception):
-                raise finished
-            if finished is None:
-                working -= 1
-            else:
-                yield finished
-    finally:
-        for slot in crew:
-            slot.close()
+    @property
+    def idle(self) -> int:
+        """Workers that wait for a task."""
+        return sum(not slot.lease for slot in self._crew)
+
+    def submit(self, task: Task) -> Report:
+        """Give a task to an idle worker, which begins its first run."""
+        slot = next(slot for slot in self._crew if not slot.lease)
+        slot.lease, slot.todo = task.lease, deque(task.runs)
+        return self._begun(slot)[0]
+
+    def drop(self, lease: str) -> None:
+        """End the worker that holds ``lease``; another takes its place."""
+        for slot in self._crew:
+            if slot.lease == lease:
+                self._replace(slot)
+
+    def poll(self, timeout_s: float) -> list[Report]:
+        """What workers have told since the last call, waiting for the first for ``timeout_s``.
+
+        :raises InfrastructureError: if workers do nothing but die.
+        :raises ValueError: if a worker tells what it should not.
+        """
+        reports: list[Report] = []
+        for key, _ in self._selector.select(timeout_s):
+            slot: _Slot = key.data
+            lines = slot.hear()
+            if lines is None:
+                reports += self._lost(slot)
+                continue
+            for line in lines:
+                reports += self._told(slot, json.loads(line))
+        return reports
+
+    def close(self) -> None:
+        """End every worker."""
+        for slot in self._crew:
+            slot.end()
+        self._selector.close()
+
+    def _told(self, slot: _Slot, answer: dict[str, object]) -> list[Report]:
+        if slot.flying is None:
+            return []
+        alive = Report(Alive(slot.lease, time.monotonic() + self._lease_s))
+        if "alive" in answer:
+            return [alive]
+        self._losses = 0
+        if "error" in answer:
+            ended = Report(NotFlown(slot.lease, slot.flying, str(answer["error"])))
+        else:
+            outcome = Outcome.model_validate(answer["outcome"])
+            ended = Report(Flown(slot.lease, slot.flying), outcome)
+        return [alive, ended, *self._begun(slot)]
+
+    def _begun(self, slot: _Slot) -> list[Report]:
+        lease, run = slot.lease, slot.begin_next()
+        return [Report(Started(lease, run))] if run is not None else []
+
+    def _lost(self, slot: _Slot) -> list[Report]:
+        lease = slot.lease
+        self._replace(slot)
+        self._losses += 1
+        if self._losses >= LOSSES_IN_A_ROW:
+            message = f"{self._losses} workers died one after the other: see zenfi doctor"
+            raise InfrastructureError(message)
+        return [Report(Lost(lease, "the worker died"))] if lease else []
+
+    def _replace(self, slot: _Slot) -> None:
+        self._selector.unregister(slot.output)
+        slot.restart()
+        self._selector.register(slot.output, selectors.EVENT_READ, slot)

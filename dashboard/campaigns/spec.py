@@ -1,37 +1,137 @@
-"""What is asked of a campaign: missions over seeds, in arms that differ by their fault."""
+"""What is asked of a campaign: arms x worlds x faults, flown on the same seeds."""
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from typing import Any, NamedTuple
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from deploy.check import BadSpecError, check, one_line
 from deploy.definitions import inlined
-from services.bus.mission import FaultSpec, MissionSpec
+from services.bus.mission import FaultSpec, MissionSpec, World
 from services.bus.model import Strict
 
 MAX_RUNS = 100_000
+SEEDS = 2**32
 
 
-class Arm(Strict):
-    """One way of flying: ``fault`` is None for golden flights. Each run draws its own fault seed."""
+class Condition(Strict):
+    """One fault by name; None is no fault. Each run draws its own fault seed."""
 
     name: str = Field(min_length=1, max_length=60)
     fault: FaultSpec | None = None
 
 
+class Arm(Condition):
+    """One way of flying: the fields of the mission that it changes, and a fault of its own."""
+
+    mission: dict[str, Any] = {}
+
+    @field_validator("mission")
+    @classmethod
+    def _sound(cls, changes: dict[str, Any]) -> dict[str, Any]:
+        """Checked on their own, so that a mistake is told with its place."""
+        for field in ("seed", "fault", "world"):
+            if field in changes:
+                message = f"{field} is not an arm's to change: see the campaign's mission, worlds and faults"
+                raise ValueError(message)
+        return MissionSpec.model_validate(changes).model_dump(exclude_unset=True)
+
+
+class Stop(Strict):
+    """Stop at the first of ``looks`` (runs per cell) at which every cell's success is known to +- ``margin``.
+
+    The intervals' level is 1 - 0.05 / (number of looks), so that all looks together err in 5 %.
+    """
+
+    margin: float = Field(gt=0, lt=0.5)
+    looks: tuple[int, ...] = Field(min_length=1)
+
+
+class CampaignLimits(Strict):
+    """When a worker is given up, and when the store is full."""
+
+    attempts: int = Field(default=5, ge=1, le=100, description="at a run whose workers get lost")
+    lease_s: float = Field(default=60.0, gt=0, le=86_400, description="wall time without a sign of life")
+    disk_mb: int = Field(default=10_000, ge=1, description="size of the store at which campaigns pause")
+
+
+class Cell(NamedTuple):
+    """What the flights of one denominator have in common: the names of arm, world and fault."""
+
+    arm: str
+    world: str
+    fault: str
+
+    def __str__(self) -> str:
+        return " / ".join(name for name in self if name)
+
+
 class CampaignSpec(Strict):
-    """``runs`` flights per arm; run i flies seed ``mission.seed + i`` in every arm, so arms are paired."""
+    """``runs`` flights per cell; run i flies seed ``mission.seed + i % seeds``, in every cell alike.
+
+    Cells are arms x worlds x faults. ``worlds`` left out is the mission's world. With ``faults``, each arm
+    flies each of them, and arms have none of their own. Flights without a fault repeat bit for bit,
+    so a cell without one flies each seed once.
+    """
 
     name: str = Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9._-]+$")
     runs: int = Field(ge=1, le=MAX_RUNS)
+    seeds: int | None = Field(default=None, ge=1, description="different seeds; default: one per run")
     mission: MissionSpec = MissionSpec()
     arms: tuple[Arm, ...] = Field(min_length=1)
+    worlds: tuple[World, ...] = ()
+    faults: tuple[Condition, ...] = ()
+    stop: Stop | None = None
+    limits: CampaignLimits = CampaignLimits()
+    artefacts: str = Field(default="", description="folder for its files in the store's artefact folder")
+
+    @field_validator("arms", "faults")
+    @classmethod
+    def _named_apart(cls, conditions: tuple[Condition, ...]) -> tuple[Condition, ...]:
+        names = [condition.name for condition in conditions]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            message = f"two have the same name: {twice[0]}"
+            raise ValueError(message)
+        return conditions
+
+    @field_validator("artefacts")
+    @classmethod
+    def _inside(cls, path: str) -> str:
+        if PurePosixPath(path).is_absolute() or ".." in PurePosixPath(path).parts or "\0" in path:
+            raise ValueError("must be a folder inside the store's artefact folder")
+        return path
+
+    @model_validator(mode="after")
+    def _consistent(self) -> CampaignSpec:
+        def refuse(message: str) -> None:
+            raise ValueError(message)
+
+        if self.mission.fault is not None:
+            refuse("mission.fault: faults belong to arms or to the campaign's faults")
+        if self.faults and any(arm.fault is not None for arm in self.arms):
+            refuse("arms: a fault of an arm's own, beside the campaign's faults")
+        if self.seeds is not None and self.seeds > self.runs:
+            refuse(f"seeds: {self.seeds} seeds for {self.runs} runs")
+        if self.mission.seed + self.runs > SEEDS:
+            refuse(f"mission.seed: the last run's seed is beyond {SEEDS - 1}")
+        looks = self.stop.looks if self.stop is not None else ()
+        if any(late <= early for early, late in zip((0, *looks), (*looks, self.runs), strict=True)):
+            refuse("stop.looks: must rise, and stay below runs")
+        names = [mission.world_name for _, mission in _missions(self)][: max(len(self.worlds), 1)]
+        if len(set(names)) < len(names):
+            refuse("worlds: two have the same name")
+        planned = self.runs * len(self.arms) * max(len(self.worlds), 1) * max(len(self.faults), 1)
+        if planned > MAX_RUNS:
+            refuse(f"runs: {planned} flights planned, at most {MAX_RUNS} are allowed")
+        return self
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,27 +141,72 @@ class Run:
     arm: str
     index: int
     spec: MissionSpec
+    fault: str = ""
+
+    @property
+    def cell(self) -> Cell:
+        """Where it counts."""
+        return Cell(self.arm, self.spec.world_name, self.fault)
+
+    @property
+    def twin(self) -> MissionSpec:
+        """The same flight without the fault."""
+        return self.spec.model_copy(update={"fault": None})
+
+
+def _missions(campaign: CampaignSpec) -> Iterator[tuple[Arm, MissionSpec]]:
+    """Each arm's mission in each world, without seed and fault."""
+    base = campaign.mission.model_dump(exclude_unset=True)
+    for arm in campaign.arms:
+        fields = {**base, **arm.mission}
+        for name, value in arm.mission.items():
+            if isinstance(value, dict) and isinstance(base.get(name), dict) and "name" not in value:
+                fields[name] = {**base[name], **value}
+        for world in campaign.worlds or (campaign.mission.world,):
+            given = world if isinstance(world, str) else world.model_dump()
+            yield arm, MissionSpec.model_validate({**fields, "world": given})
+
+
+def _flown(campaign: CampaignSpec) -> list[tuple[Arm, Condition, MissionSpec]]:
+    """The cells of a campaign: arm, fault and mission of each."""
+    return [
+        (arm, condition, mission)
+        for arm, mission in _missions(campaign)
+        for condition in campaign.faults or (Condition(name="none", fault=arm.fault),)
+    ]
+
+
+def cells(campaign: CampaignSpec) -> list[Cell]:
+    """The names of every cell, in the order of the specification."""
+    return [
+        Cell(arm.name, mission.world_name, condition.name if campaign.faults else "")
+        for arm, condition, mission in _flown(campaign)
+    ]
 
 
 def runs(campaign: CampaignSpec) -> Iterator[Run]:
-    """Every flight of a campaign, the arms of one seed side by side so that they share its golden twin."""
+    """Every flight of a campaign, the flights of one seed side by side so that they share golden twins."""
+    seeds = campaign.seeds or campaign.runs
+    flown = _flown(campaign)
     for index in range(campaign.runs):
-        for arm in campaign.arms:
-            fault = arm.fault
+        for arm, condition, mission in flown:
+            fault = condition.fault
             if fault is not None:
                 fault = fault.model_copy(update={"seed": fault.seed + index})
-            spec = campaign.mission.model_copy(update={"seed": campaign.mission.seed + index, "fault": fault})
-            yield Run(arm.name, index, spec)
+            elif index >= seeds and mission.clock == "lockstep":
+                continue
+            spec = mission.model_copy(update={"seed": mission.seed + index % seeds, "fault": fault})
+            yield Run(arm.name, index, spec, condition.name if campaign.faults else "")
 
 
 def load_campaign(name: str) -> CampaignSpec:
-    """The campaign in a TOML file, or the preset of that name.
+    """The campaign in a TOML or JSON file, or the preset of that name.
 
     :raises BadSpecError: if there is neither, or if it is malformed; nothing is started then.
     """
     preset = files("dashboard") / "presets" / f"{name}.toml"
     path = Path(name)
-    if path.suffix != ".toml" and "/" not in name and preset.is_file():
+    if path.suffix not in (".toml", ".json") and "/" not in name and preset.is_file():
         text = preset.read_text()
     elif path.is_file():
         text = path.read_text()
@@ -69,20 +214,41 @@ def load_campaign(name: str) -> CampaignSpec:
         message = f"no campaign file {name!r} and no preset of that name"
         raise BadSpecError(message)
     try:
-        fields = tomllib.loads(text)
-        if isinstance(fields.get("mission"), dict):
-            fields["mission"] = inlined(fields["mission"])
-        campaign = CampaignSpec.model_validate(fields)
-    except tomllib.TOMLDecodeError as error:
-        message = f"{name}: not valid TOML: {error}"
+        campaign = CampaignSpec.model_validate(_with_files(_parsed(text, path)))
+    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
+        message = f"{name}: not valid {'JSON' if path.suffix == '.json' else 'TOML'}: {error}"
         raise BadSpecError(message) from error
     except ValidationError as error:
         message = f"{name}: {one_line(error)}"
         raise BadSpecError(message) from error
-    names = [arm.name for arm in campaign.arms]
-    if len(set(names)) < len(names):
-        message = f"{name}: arms: two arms have the same name"
-        raise BadSpecError(message)
-    for arm in campaign.arms:
-        check(campaign.mission.model_copy(update={"fault": arm.fault}))
+    for arm, condition, mission in _flown(campaign):
+        try:
+            check(mission.model_copy(update={"fault": condition.fault}))
+        except BadSpecError as error:
+            where = f"faults: {condition.name}" if campaign.faults else f"arms: {arm.name}"
+            message = f"{name}: {where}: {error}"
+            raise BadSpecError(message) from error
     return campaign
+
+
+def _parsed(text: str, path: Path) -> Any:
+    return json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+
+
+def _with_files(fields: Any) -> Any:
+    """What a mission, an arm or the worlds name by file, put in their place."""
+    if not isinstance(fields, dict):
+        return fields
+    fields = dict(fields)
+    if isinstance(fields.get("mission"), dict):
+        fields["mission"] = inlined(fields["mission"])
+    if isinstance(fields.get("arms"), list):
+        fields["arms"] = [
+            {**arm, "mission": inlined(arm["mission"])}
+            if isinstance(arm, dict) and isinstance(arm.get("mission"), dict)
+            else arm
+            for arm in fields["arms"]
+        ]
+    if isinstance(fields.get("worlds"), list):
+        fields["worlds"] = [inlined({"world": world})["world"] for world in fields["worlds"]]
+    return fields

@@ -7,7 +7,7 @@ import json
 import statistics
 import sys
 
-from dashboard.campaigns.local import fly_all
+from dashboard.campaigns.scheduler import fly_all
 from dashboard.campaigns.spec import Run
 from services.bus.mission import MissionSpec
 

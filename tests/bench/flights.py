@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 
-from dashboard.campaigns.local import Finished, fly_all
+from dashboard.campaigns.scheduler import Finished, fly_all
 from dashboard.campaigns.spec import Run
 from services.bus.mission import FaultSpec, MissionSpec
 

@@ -7,7 +7,7 @@
 import json
 import sys
 
-from dashboard.campaigns.local import fly_all
+from dashboard.campaigns.scheduler import fly_all
 from dashboard.campaigns.spec import Run
 from deploy.definitions import inlined
 from services.bus.mission import MissionSpec

@@ -86,6 +86,8 @@ def test_a_machine_that_forbids_tracing_is_told_before_anything_starts() -> None
         ('name = "../x"\nruns = 1\narms = [{name = "a"}]', "name"),
         ('name = "x"\nruns = 1\narms = [{name = "a"}, {name = "a"}]', "arms"),
         ('name = "x"\nruns = 1\narms = [{name = "a", fault = {target = "teapot"}}]', "teapot"),
+        ('name = "x"\nruns = 1000000000\narms = [{name = "a"}]', "runs"),
+        ('name = "x"\nruns = 1\nartefacts = "../up"\narms = [{name = "a"}]', "artefacts"),
         ('name = "x"\nruns = 1\nmission = {world = "nowhere"}\narms = [{name = "a"}]', "nowhere"),
         ('name = "x"\nruns = 1\nmission = {mission = "dancing"}\narms = [{name = "a"}]', "dancing"),
     ],
@@ -97,6 +99,7 @@ def test_a_bad_campaign_is_refused_with_the_field_named(text: str, says: str, tm
     assert answer.returncode == 2
     assert len(answer.stderr.splitlines()) == 1
     assert says in answer.stderr
+    assert not (tmp_path / "home").exists()
 
 
 def test_a_campaign_flies_its_arms_and_sums_them_up(tmp_path: Path) -> None:
@@ -108,17 +111,46 @@ def test_a_campaign_flies_its_arms_and_sums_them_up(tmp_path: Path) -> None:
     answer = zenfi("campaign", "run", str(path), "--json")
     lines = [json.loads(line) for line in answer.stdout.splitlines()]
     assert answer.returncode == 0
-    assert sorted((line["arm"], line["index"]) for line in lines[:-1]) == [
+    first, *flights, last = lines
+    assert first["campaign"] == last["campaign"] == "x-1"
+    assert first["forecast"]["runs"] == 4
+    assert sorted((line["arm"], line["index"]) for line in flights) == [
         ("flip", 0),
         ("flip", 1),
         ("golden", 0),
         ("golden", 1),
     ]
-    golden = {line["index"]: line["outcome"]["digest"] for line in lines[:-1] if line["arm"] == "golden"}
-    for line in lines[:-1]:
+    golden = {line["index"]: line["outcome"]["digest"] for line in flights if line["arm"] == "golden"}
+    for line in flights:
         if line["arm"] == "flip":
             assert line["outcome"]["golden"]["digest"] == golden[line["index"]]
-    assert [arm["runs"] for arm in lines[-1]["summary"]] == [2, 2]
+    assert [arm["runs"] for arm in last["summary"]] == [2, 2]
+    assert last["phase"] == "done"
+    compared = zenfi("campaign", "compare", "x-1", "--json")
+    assert json.loads(compared.stdout)["pairs"] == 2
+    assert zenfi("campaign", "compare", "x-1", "--against", "golden").returncode == 0
+    assert "x-1" in zenfi("campaign", "list").stdout
+    shown = [json.loads(line) for line in zenfi("campaign", "show", "x-1", "--json").stdout.splitlines()]
+    assert shown[0]["done"] == 4
+    assert shown[1]["summary"] == last["summary"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("show", "demo-7"), "demo-7"),
+        (("resume",), "nothing to resume"),
+        (("cancel", "x"), "x"),
+        (("compare", "1", "2", "--against", "golden"), "--against"),
+        (("export", "1", "table.xlsx"), "1"),
+        (("list", "--store", "/proc/nowhere"), "--store"),
+    ],
+)
+def test_a_campaign_that_is_not_there_is_one_clear_line(arguments: tuple[str, ...], says: str) -> None:
+    answer = zenfi("campaign", *arguments)
+    assert answer.returncode == 2
+    assert len(answer.stderr.splitlines()) == 1
+    assert says in answer.stderr
 
 
 @pytest.mark.parametrize(("stop", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
@@ -126,7 +158,7 @@ def test_a_stopped_campaign_leaves_nothing_behind(stop: int, status: int) -> Non
     with subprocess.Popen(
         [ZENFI, "campaign", "run", "demo", "--json"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
     ) as command:
-        wait_until(lambda: node(command.pid, "control") is not None)
+        wait_until(lambda: node(command.pid, "control") is not None, 120.0)
         family = descendants(command.pid)
         os.kill(command.pid, stop)
         assert command.wait(timeout=20) == status

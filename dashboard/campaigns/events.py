@@ -1,0 +1,87 @@
+"""What can happen to a campaign: the events of :mod:`dashboard.campaigns.states`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Begin:
+    """A scheduler takes the campaign: leases of an earlier one are void, failed runs get a new chance."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leased:
+    """``runs`` are promised to a worker under ``lease``, which ends at ``until_s`` (monotonic)."""
+
+    lease: str
+    runs: tuple[int, ...]
+    until_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """The worker has begun a run."""
+
+    lease: str
+    run: int
+
+
+@dataclass(frozen=True, slots=True)
+class Alive:
+    """The worker was heard of: its lease now ends at ``until_s``."""
+
+    lease: str
+    until_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """A run has a result."""
+
+    lease: str
+    run: int
+
+
+@dataclass(frozen=True, slots=True)
+class NotFlown:
+    """We failed to fly a run: not tried again by itself, for it would fail again."""
+
+    lease: str
+    run: int
+    error: str
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """The worker is gone: what it was flying counts as an attempt, what it had not begun does not."""
+
+    lease: str
+    error: str
+
+
+@dataclass(frozen=True, slots=True)
+class Passed:
+    """Time has passed: leases that ended before ``now_s`` are lost."""
+
+    now_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class NotNeeded:
+    """The stopping rule has enough: every queued run is dropped."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """The scheduler leaves; what is in flight will be flown again, at no attempt's cost."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel:
+    """The campaign is given up."""
+
+
+Event = Begin | Leased | Started | Alive | Flown | NotFlown | Lost | Passed | NotNeeded | Pause | Cancel

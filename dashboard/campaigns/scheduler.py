@@ -1,0 +1,151 @@
+"""The scheduler: hands runs out to workers and writes down what becomes of them."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+
+from dashboard.campaigns.events import Begin, Cancel, Event, Flown, Leased, NotNeeded, Passed, Pause
+from dashboard.campaigns.local import LocalExecutor, Report, Task
+from dashboard.campaigns.spec import CampaignLimits, Run
+from dashboard.campaigns.states import CampaignStates, RunState
+from dashboard.campaigns.stopping import StoppingRule
+from services.bus.outcome import Outcome
+
+POLL_S = 0.25
+GROUP = 8
+"""Most runs of one golden twin that are leased at a time."""
+
+Write = Callable[[CampaignStates, Sequence[int], Mapping[int, Outcome]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """A run with its outcome, or with the line that says why we failed to fly it."""
+
+    run: Run
+    outcome: Outcome | None
+    error: str = ""
+
+
+class Scheduler:
+    """Flies what is open of a campaign.
+
+    ``write`` keeps changed states and outcomes; what it has not kept is flown again. ``wished`` tells
+    what another process asks for.
+    """
+
+    def __init__(
+        self,
+        states: CampaignStates,
+        planned: Mapping[int, Run],
+        executor: LocalExecutor,
+        rule: StoppingRule,
+        lease_s: float,
+        write: Write,
+        wished: Callable[[], str] = lambda: "",
+    ) -> None:
+        self.states = states
+        self._planned = planned
+        self._executor = executor
+        self._rule = rule
+        self._lease_s = lease_s
+        self._write = write
+        self._wished = wished
+        self._queue: deque[list[int]] = deque()
+        self._serial = itertools.count()
+
+    def fly(self) -> Iterator[Finished]:
+        """Every run that ends, as it ends."""
+        self._keep(self.states.handle(Begin()), {})
+        self._release()
+        while self.states.phase == "running":
+            self._hand_out()
+            yield from self._take_in(self._executor.poll(POLL_S))
+            if self.states.phase == "running" and not self._queue and not self._executor.leases:
+                self._look()
+            if self._wished() == "cancel" and self.states.phase == "running":
+                self._keep(self.states.handle(Cancel()), {})
+
+    def pause(self, reason: str) -> None:
+        """Leave the campaign so that it can be resumed."""
+        if self.states.phase == "running":
+            self._keep(self.states.handle(Pause(reason)), {})
+
+    def _keep(self, changed: Sequence[int], outcomes: Mapping[int, Outcome]) -> None:
+        self._write(self.states, changed, outcomes)
+
+    def _look(self) -> None:
+        if self._rule.look():
+            self._keep(self.states.handle(NotNeeded()), {})
+        else:
+            self._release()
+
+    def _release(self) -> None:
+        """Queue what may fly by now, the runs of one golden twin together."""
+        twins: dict[str, list[int]] = {}
+        for index, run in self._planned.items():
+            if self.states.runs[index].phase == "queued" and run.index < self._rule.released:
+                twins.setdefault(run.twin.model_dump_json(), []).append(index)
+        count = sum(map(len, twins.values()))
+        size = max(1, min(GROUP, count // (2 * self._executor.slots)))
+        for runs in twins.values():
+            self._queue.extend(runs[first : first + size] for first in range(0, len(runs), size))
+
+    def _hand_out(self) -> None:
+        changed: list[int] = []
+        while self._queue and self._executor.idle:
+            group = self._queue.popleft()
+            lease = str(next(self._serial))
+            until_s = time.monotonic() + self._lease_s
+            changed += self.states.handle(Leased(lease, tuple(group), until_s))
+            begun = self._executor.submit(Task(lease, [(run, self._planned[run].spec) for run in group]))
+            changed += self.states.handle(begun.event)
+        if changed:
+            self._keep(changed, {})
+
+    def _take_in(self, reports: Iterable[Report]) -> list[Finished]:
+        changed: list[int] = []
+        outcomes: dict[int, Outcome] = {}
+        for report in reports:
+            moved = self._handle(report.event)
+            changed += moved
+            if isinstance(report.event, Flown) and moved and report.outcome is not None:
+                outcomes[report.event.run] = report.outcome
+        changed += self._handle(Passed(time.monotonic()))
+        for lease in self._executor.leases - self.states.leases:
+            self._executor.drop(lease)
+        if changed:
+            self._keep(changed, outcomes)
+        return [self._finished(run, outcomes.get(run)) for run in dict.fromkeys(changed) if self._ended(run)]
+
+    def _handle(self, event: Event) -> list[int]:
+        moved = self.states.handle(event)
+        again = [run for run in moved if self.states.runs[run].phase == "queued"]
+        if again:
+            self._queue.appendleft(again)
+        return moved
+
+    def _ended(self, run: int) -> bool:
+        return self.states.runs[run].phase in ("done", "failed")
+
+    def _finished(self, index: int, outcome: Outcome | None) -> Finished:
+        run = self._planned[index]
+        if outcome is not None:
+            self._rule.add(run.cell, run.index, success=outcome.qof.success)
+        return Finished(run, outcome, self.states.runs[index].error)
+
+
+def fly_all(runs: Iterable[Run], slots: int | None = None) -> Iterator[Finished]:
+    """Fly runs that no store keeps, yielding each as it ends. Leaving early ends everything started."""
+    planned = dict(enumerate(runs))
+    limits = CampaignLimits()
+    states = CampaignStates({index: RunState() for index in planned}, limits.attempts)
+    last = max((run.index for run in planned.values()), default=0)
+    rule = StoppingRule(None, (run.cell for run in planned.values()), last + 1)
+    with closing(LocalExecutor(slots, limits.lease_s)) as executor:
+        yield from Scheduler(states, planned, executor, rule, limits.lease_s, lambda *_: None).fly()

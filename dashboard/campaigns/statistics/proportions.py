@@ -1,0 +1,126 @@
+"""Intervals of proportions and of their differences, exact McNemar, Holm.
+
+Coverage of the 95 % intervals, by simulation, is held by the tests: 94 to 97 % averaged over p.
+Clopper-Pearson is conservative by construction: at least 95 % at every p.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import binomtest, norm
+
+
+class Interval(NamedTuple):
+    """Both ends of a confidence interval."""
+
+    low: float
+    high: float
+
+    @property
+    def width(self) -> float:
+        """From one end to the other."""
+        return self.high - self.low
+
+
+class Pairs(NamedTuple):
+    """Two configurations on the same seeds: how many pairs succeeded in both, in one only, in neither."""
+
+    both: int
+    first_only: int
+    second_only: int
+    neither: int
+
+    @classmethod
+    def of(cls, first: Sequence[bool], second: Sequence[bool]) -> Pairs:
+        """Of pairs in the same order."""
+        pairs = list(zip(first, second, strict=True))
+        return cls(
+            pairs.count((True, True)),
+            pairs.count((True, False)),
+            pairs.count((False, True)),
+            pairs.count((False, False)),
+        )
+
+
+EVERYTHING = Interval(0.0, 1.0)
+"""What is known of a proportion without trials."""
+
+
+def z_of(level: float) -> float:
+    """The two-sided standard normal quantile of a confidence level."""
+    return float(norm.ppf((1 + level) / 2))
+
+
+def wilson(successes: float, trials: float, level: float = 0.95) -> Interval:
+    """Wilson's score interval of a proportion. Effective sample sizes need not be whole numbers.
+
+    Zero events in n end near 3/n above. Everything is possible without trials.
+    """
+    if trials == 0:
+        return EVERYTHING
+    p, z2 = successes / trials, z_of(level) ** 2
+    middle = (p + z2 / (2 * trials)) / (1 + z2 / trials)
+    half = sqrt(z2 * (p * (1 - p) + z2 / (4 * trials)) / trials) / (1 + z2 / trials)
+    # Rounding must not exclude the estimate at the ends of the range.
+    return Interval(min(max(middle - half, 0.0), p), max(min(middle + half, 1.0), p))
+
+
+def clopper_pearson(successes: int, trials: int, level: float = 0.95) -> Interval:
+    """The exact interval, for a claim: it covers at least ``level`` whatever p is."""
+    if trials == 0:
+        return EVERYTHING
+    interval = binomtest(successes, trials).proportion_ci(level, method="exact")
+    return Interval(float(interval.low), float(interval.high))
+
+
+def newcombe(successes: tuple[int, int], trials: tuple[int, int], level: float = 0.95) -> Interval:
+    """Interval of p1 - p2 of independent samples (Newcombe 1998, Stat. Med. 17:873, method 10)."""
+    if 0 in trials:
+        return Interval(-1.0, 1.0)
+    first, second = (wilson(x, n, level) for x, n in zip(successes, trials, strict=True))
+    return _squared_and_added(successes[0] / trials[0], first, successes[1] / trials[1], second, 0.0)
+
+
+def newcombe_paired(pairs: Pairs, level: float = 0.95) -> Interval:
+    """Interval of p1 - p2 of paired samples (Newcombe 1998, Stat. Med. 17:2635, method 10)."""
+    n = sum(pairs)
+    if n == 0:
+        return Interval(-1.0, 1.0)
+    ones, twos = pairs.both + pairs.first_only, pairs.both + pairs.second_only
+    spread = ones * (n - ones) * twos * (n - twos)
+    agreement = float(pairs.both * pairs.neither - pairs.first_only * pairs.second_only)
+    if agreement > 0:
+        agreement = max(agreement - n / 2, 0.0)
+    phi = agreement / sqrt(spread) if spread else 0.0
+    return _squared_and_added(ones / n, wilson(ones, n, level), twos / n, wilson(twos, n, level), phi)
+
+
+def _squared_and_added(p1: float, one: Interval, p2: float, two: Interval, phi: float) -> Interval:
+    """Interval of p1 - p2 from the intervals of both and their correlation."""
+
+    def distance(a: float, b: float) -> float:
+        return sqrt(max(a * a - 2 * phi * a * b + b * b, 0.0))
+
+    low = distance(p1 - one.low, two.high - p2)
+    high = distance(one.high - p1, p2 - two.low)
+    return Interval(p1 - p2 - low, p1 - p2 + high)
+
+
+def mcnemar(pairs: Pairs) -> float:
+    """Two-sided p-value of the exact test that both configurations succeed alike."""
+    discordant = pairs.first_only + pairs.second_only
+    return float(binomtest(pairs.first_only, discordant).pvalue) if discordant else 1.0
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """P-values adjusted for their number (Holm 1979), in the order given."""
+    values = np.asarray(p_values, dtype=float)
+    order = np.argsort(values, kind="stable")
+    adjusted = np.empty_like(values)
+    steps = values[order] * np.arange(len(values), 0, -1)
+    adjusted[order] = np.minimum(np.maximum.accumulate(steps), 1.0)
+    return [float(value) for value in adjusted]

@@ -1,0 +1,161 @@
+"""A campaign at the terminal: its plan, its progress, its end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sys
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from dashboard import tables
+from dashboard.campaigns.database import StoreFullError
+from dashboard.campaigns.forecast import forecast
+from dashboard.campaigns.local import LocalExecutor
+from dashboard.campaigns.scheduler import Finished, Scheduler
+from dashboard.campaigns.spec import CampaignSpec, cells
+from dashboard.campaigns.stopping import StoppingRule
+from dashboard.campaigns.store import Campaign, Store
+from dashboard.campaigns.summary import CellSummary, summarise
+from deploy.supervisor import InfrastructureError
+
+messages = Console(stderr=True)
+PICTURE_COLUMNS = 90
+
+
+def run_new(spec: CampaignSpec, slots: int | None, folder: Path, as_json: bool, svg: Path | None) -> None:
+    """Store a campaign, tell what it will take, and fly it."""
+    with contextlib.closing(Store(folder)) as store:
+        plan = forecast(spec, store, slots or len(os.sched_getaffinity(0)))
+        created = store.create(spec)
+        if as_json:
+            click.echo(json.dumps({"campaign": created.label, "forecast": plan.model_dump()}))
+        else:
+            messages.print(tables.forecast(created.label, plan))
+        fly(store, created, slots, spec.limits.disk_mb, as_json, svg)
+
+
+def fly(
+    store: Store, found: Campaign, slots: int | None, disk_mb: int, as_json: bool, svg: Path | None
+) -> None:
+    """Fly what is left of a campaign while the store stays below ``disk_mb``; tell what it has found."""
+    store.limit(disk_mb)
+    with store.lock(found):
+        scheduler = _fly_under_lock(store, found, slots, as_json)
+    tell(found, scheduler.states.phase, summary(store, found), as_json, svg)
+    if scheduler.states.phase == "cancelled":
+        messages.print(f"{found.label} was cancelled")
+    if scheduler.states.phase != "done":
+        sys.exit(1)
+
+
+def _fly_under_lock(store: Store, found: Campaign, slots: int | None, as_json: bool) -> Scheduler:
+    planned = store.planned(found)
+    rule = StoppingRule(found.spec.stop, (run.cell for run in planned.values()), found.spec.runs)
+    for record in store.records(found):
+        if record.result is not None:
+            rule.add(record.cell, record.number, success=record.result.success)
+    limits = found.spec.limits
+    with contextlib.closing(LocalExecutor(slots, limits.lease_s, store.artefacts(found))) as executor:
+        scheduler = Scheduler(
+            store.states(found),
+            planned,
+            executor,
+            rule,
+            limits.lease_s,
+            lambda states, changed, outcomes: store.write(found, states, changed, outcomes),
+            lambda: store.wished(found),
+        )
+        try:
+            _watch(scheduler, found, as_json)
+        except KeyboardInterrupt:
+            _leave(scheduler, "interrupted")
+            click.echo(f"zenfi: go on with: zenfi campaign resume {found.label}", err=True)
+            raise
+        except StoreFullError as error:
+            _leave(scheduler, "the store is full")
+            message = (
+                f"{found.label} is paused: {error}; nothing is lost: make room on the disk or in the quota "
+                f"(--disk-mb), then zenfi campaign resume {found.label}"
+            )
+            raise InfrastructureError(message) from error
+        except InfrastructureError as error:
+            _leave(scheduler, str(error))
+            raise
+    return scheduler
+
+
+def _leave(scheduler: Scheduler, reason: str) -> None:
+    # On a full disk the state cannot be written either; without a scheduler it reads as interrupted.
+    with contextlib.suppress(StoreFullError):
+        scheduler.pause(reason)
+
+
+def _watch(scheduler: Scheduler, found: Campaign, as_json: bool) -> None:
+    states = scheduler.states
+    flown, arrived = 0, 0
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[success]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=messages) as progress:
+        task = progress.add_task(
+            found.label, total=len(states.runs), completed=states.count("done", "cancelled"), success=""
+        )
+        for one in scheduler.fly():
+            if one.outcome is None:
+                progress.console.print(
+                    f"[red]not flown[/red]: {one.run.cell}, run {one.run.index}: {one.error}"
+                )
+            else:
+                flown, arrived = flown + 1, arrived + one.outcome.qof.success
+            progress.update(
+                task,
+                completed=states.count("done", "failed", "cancelled"),
+                success=f"success {arrived}/{flown}",
+            )
+            if as_json:
+                _flight(found, one)
+
+
+def _flight(found: Campaign, one: Finished) -> None:
+    head: dict[str, Any] = {"campaign": found.label, **one.run.cell._asdict(), "index": one.run.index}
+    if one.outcome is None:
+        click.echo(json.dumps({**head, "error": one.error}))
+    else:
+        click.echo(json.dumps({**head, "outcome": one.outcome.model_dump(mode="json", by_alias=True)}))
+
+
+def summary(store: Store, found: Campaign) -> list[CellSummary]:
+    """What a campaign has found so far."""
+    return summarise(cells(found.spec), store.records(found))
+
+
+def tell(found: Campaign, phase: str, lines: list[CellSummary], as_json: bool, svg: Path | None) -> None:
+    """Print a summary, and draw it if asked."""
+    if as_json:
+        told = {"campaign": found.label, "phase": phase, "summary": [line.model_dump() for line in lines]}
+        click.echo(json.dumps(told))
+    else:
+        Console().print(tables.campaign(found.label, lines))
+    if svg is not None:
+        paper = Console(record=True, file=StringIO(), width=PICTURE_COLUMNS)
+        paper.print(tables.campaign(found.spec.name, lines))
+        paper.save_svg(str(svg), title=f"zenfi campaign run {found.spec.name}")

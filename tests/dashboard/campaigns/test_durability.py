@@ -1,0 +1,169 @@
+"""Killed at any point, a campaign goes on: one result a run, the same as if nothing had happened."""
+
+import json
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+from dashboard.campaigns.records import Record
+from dashboard.campaigns.store import Store
+from tests.conftest import alive, descendants, wait_until
+
+ZENFI = str(Path(sys.executable).parent / "zenfi")
+SPEC = """
+name = "hard"
+runs = {runs}
+worlds = ["sparse", "dense"]
+mission = {{limits = {{mission_time_s = 0.6}}}}
+limits = {{attempts = 20, disk_mb = {disk_mb}}}
+arms = [{{name = "golden"}}, {{name = "flip", fault = {{target = "pid"}}}}]
+"""
+RUNS = 24
+PATIENCE_S = 300.0
+
+
+def spec(folder: Path, runs: int = RUNS // 4, disk_mb: int = 1000) -> str:
+    path = folder / "hard.toml"
+    path.write_text(SPEC.format(runs=runs, disk_mb=disk_mb))
+    return str(path)
+
+
+def zenfi(store: Path, *arguments: str) -> "subprocess.Popen[bytes]":
+    command = [ZENFI, "campaign", *arguments, "--store", str(store), "--json"]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+
+
+def records(store: Path) -> list[Record]:
+    with closing(Store(store)) as opened:
+        return list(opened.records(opened.find("1")))
+
+
+def done(store: Path) -> int:
+    """Results in the store, read without disturbing it."""
+    path = store / "zenfi.sqlite"
+    if not path.exists():
+        return 0
+    with closing(sqlite3.connect(f"file:{path}?mode=ro", uri=True, timeout=30)) as connection:
+        try:
+            return int(connection.execute("SELECT count(*) FROM results").fetchone()[0])
+        except sqlite3.OperationalError:  # not made yet
+            return 0
+
+
+def workers(scheduler: int) -> list[int]:
+    found = []
+    for pid in descendants(scheduler):
+        try:
+            line = Path(f"/proc/{pid}/cmdline").read_bytes()
+        except (FileNotFoundError, ProcessLookupError):
+            continue
+        if b"deploy.worker" in line:
+            found.append(pid)
+    return found
+
+
+def kill(pid: int) -> None:
+    if alive(pid):
+        os.kill(pid, signal.SIGKILL)
+
+
+def until(store: Path, results: int, command: "subprocess.Popen[bytes]") -> None:
+    """Wait until so many runs are flown."""
+    deadline = time.monotonic() + PATIENCE_S
+    while done(store) < results and command.poll() is None:
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.1)
+
+
+def test_kills_change_nothing_but_the_time_it_takes(tmp_path: Path) -> None:
+    calm, hard = tmp_path / "calm", tmp_path / "hard"
+    with zenfi(calm, "run", spec(tmp_path)) as command:
+        assert command.wait(PATIENCE_S) == 0
+
+    with zenfi(hard, "run", spec(tmp_path)) as command:
+        until(hard, 3, command)
+        kill(workers(command.pid)[0])
+        until(hard, 6, command)
+        family = descendants(command.pid)
+        kill(command.pid)
+    wait_until(lambda: not any(map(alive, family)))
+    for target in (10, 14):
+        before = done(hard)
+        with zenfi(hard, "resume", "hard-1") as command:
+            until(hard, target, command)
+            for worker in workers(command.pid):
+                kill(worker)
+            until(hard, target + 2, command)
+            kill(command.pid)
+        assert done(hard) > before
+    with zenfi(hard, "resume") as command:
+        assert command.wait(PATIENCE_S) == 0
+
+    ours, theirs = records(hard), records(calm)
+    assert [record.phase for record in ours] == ["done"] * RUNS
+    assert [told(record) for record in ours] == [told(record) for record in theirs]
+
+
+def told(record: Record) -> tuple[object, ...]:
+    """What must not depend on who flew a run, and when. A fault's instant is drawn in thread time."""
+    result = record.result
+    assert result is not None
+    twin = (result.twin_result, result.twin_flight_time_s, result.twin_energy_kj)
+    flown = (result.result, result.digest, result.flight_time_s, result.distance_m, result.energy_kj)
+    return (record.cell, record.number, record.seed, *(twin if result.injection else flown))
+
+
+def test_ctrl_c_pauses_and_says_how_to_go_on(tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    with zenfi(store, "run", spec(tmp_path)) as command:
+        until(store, 1, command)
+        command.send_signal(signal.SIGINT)
+        _, said = command.communicate(timeout=60)
+        assert command.returncode == 130
+    assert b"zenfi campaign resume hard-1" in said
+    assert {record.phase for record in records(store)} == {"done", "queued"}
+    with closing(Store(store)) as opened:
+        found = opened.find("hard-1")
+        assert (found.phase, found.reason) == ("paused", "interrupted")
+
+
+def test_a_full_store_pauses_the_campaign_and_loses_nothing(tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    with zenfi(store, "run", spec(tmp_path, runs=2, disk_mb=1)) as command:
+        until(store, 1, command)
+        fill(store)
+        _, said = command.communicate(timeout=PATIENCE_S)
+        assert command.returncode == 1
+    (line,) = [line for line in said.decode().splitlines() if line.startswith("zenfi:")]
+    assert "full" in line
+    assert "zenfi campaign resume hard-1" in line
+    kept = done(store)
+    assert kept >= 1
+    assert all((record.phase == "done") == (record.result is not None) for record in records(store))
+    with zenfi(store, "resume", "--disk-mb", "100") as command:
+        assert command.wait(PATIENCE_S) == 0
+    assert [record.phase for record in records(store)] == ["done"] * 8
+
+
+def fill(store: Path) -> None:
+    with closing(sqlite3.connect(store / "zenfi.sqlite", timeout=30)) as connection:
+        connection.execute("CREATE TABLE ballast AS SELECT zeroblob(1200000) AS weight")
+        connection.commit()
+
+
+def test_a_campaign_that_is_flown_can_be_cancelled_from_outside(tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    with zenfi(store, "run", spec(tmp_path)) as command:
+        until(store, 1, command)
+        listed = subprocess.run(
+            [ZENFI, "campaign", "list", "--store", str(store), "--json"], capture_output=True, check=True
+        )
+        assert json.loads(listed.stdout)["phase"] == "running"
+        subprocess.run([ZENFI, "campaign", "cancel", "hard-1", "--store", str(store)], check=True)
+        assert command.wait(PATIENCE_S) == 1
+    assert {record.phase for record in records(store)} == {"done", "cancelled"}

@@ -1,0 +1,81 @@
+"""Runs on this machine's processors: a failure of ours is loud."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import pytest
+
+from dashboard.campaigns import local
+from dashboard.campaigns.events import Lost, Started
+from dashboard.campaigns.scheduler import fly_all
+from dashboard.campaigns.spec import Run
+from deploy.supervisor import InfrastructureError
+from services.bus.mission import MissionSpec
+
+RUN = Run("golden", 0, MissionSpec())
+
+
+def worker(script: str) -> Callable[[int, int | None], subprocess.Popen[bytes]]:
+    def start(_: int, __: int | None) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-c", script]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    return start
+
+
+def test_a_worker_that_talks_nonsense_ends_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = "import sys\nfor line in sys.stdin: print('{\"outcome\": {}}', flush=True)"
+    monkeypatch.setattr(local, "start_worker", worker(script))
+    with pytest.raises(ValueError, match="Outcome"):
+        list(fly_all([RUN], 1))
+
+
+def test_workers_that_only_die_end_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local, "start_worker", worker("raise SystemExit"))
+    with pytest.raises(InfrastructureError, match="workers died"):
+        list(fly_all([Run("golden", index, MissionSpec()) for index in range(8)], 1))
+
+
+def test_a_run_whose_workers_die_is_given_up_after_its_attempts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local, "start_worker", worker("raise SystemExit"))
+    (finished,) = fly_all([RUN], 1)
+    assert finished.outcome is None
+    assert "the worker died, 5 times" in finished.error
+
+
+def test_an_error_of_ours_fails_the_run_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = 'import sys\nfor line in sys.stdin: print(\'{"error": "a bug"}\', flush=True)'
+    monkeypatch.setattr(local, "start_worker", worker(script))
+    (finished,) = fly_all([RUN], 1)
+    assert finished.error == "a bug"
+
+
+def test_a_silent_worker_loses_its_lease_and_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+    make = worker("import time\ntime.sleep(600)")
+
+    def start(cpu: int, log: int | None) -> subprocess.Popen[bytes]:
+        started.append(make(cpu, log))
+        return started[-1]
+
+    monkeypatch.setattr(local, "start_worker", start)
+    executor = local.LocalExecutor(1, lease_s=60.0)
+    try:
+        begun = executor.submit(local.Task("a", [(0, MissionSpec())]))
+        assert begun.event == Started("a", 0)
+        assert executor.leases == {"a"}
+        executor.drop("a")
+        assert started[0].poll() is not None
+        assert executor.idle == 1
+        started[1].kill()
+        deadline = time.monotonic() + 20
+        executor.submit(local.Task("b", [(1, MissionSpec())]))
+        reports: list[local.Report] = []
+        while not reports and time.monotonic() < deadline:
+            reports = executor.poll(0.1)
+        assert reports == [local.Report(Lost("b", "the worker died"))]
+    finally:
+        executor.close()
+    assert all(process.poll() is not None for process in started)

@@ -1,0 +1,166 @@
+"""Leases, stopping rule and the sharing of golden twins, with workers that answer at once or never."""
+
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from dashboard.campaigns import local
+from dashboard.campaigns.local import LocalExecutor
+from dashboard.campaigns.scheduler import Finished, Scheduler
+from dashboard.campaigns.spec import Arm, CampaignSpec, Run, Stop, cells, runs
+from dashboard.campaigns.states import CampaignStates, RunState
+from dashboard.campaigns.stopping import StoppingRule
+from services.bus.mission import FaultSpec, MissionSpec
+from services.bus.outcome import NO_FLIGHT, Outcome
+
+
+def answering(script: str) -> Callable[[int, int | None], subprocess.Popen[bytes]]:
+    def start(_: int, __: int | None) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-c", script]
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    return start
+
+
+def arrival(success: bool) -> str:
+    """A worker whose flights all end alike."""
+    outcome = Outcome(
+        spec=MissionSpec(),
+        result="success" if success else "timeout",
+        qof=NO_FLIGHT.model_copy(update={"success": success}),
+        digest="",
+        wall_s=0.0,
+        nodes={},
+        topics={},
+    )
+    line = f'{{"outcome": {outcome.model_dump_json(by_alias=True)}}}'
+    return f"import sys\nfor line in sys.stdin: print({line!r}, flush=True)"
+
+
+def fly(campaign: CampaignSpec, lease_s: float = 60.0, slots: int = 2) -> tuple[Scheduler, list[Finished]]:
+    planned = dict(enumerate(runs(campaign)))
+    states = CampaignStates({run: RunState() for run in planned}, campaign.limits.attempts)
+    rule = StoppingRule(campaign.stop, (run.cell for run in planned.values()), campaign.runs)
+    with closing(LocalExecutor(slots, lease_s)) as executor:
+        scheduler = Scheduler(states, planned, executor, rule, lease_s, lambda *_: None)
+        return scheduler, list(scheduler.fly())
+
+
+def test_every_run_ends_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local, "start_worker", answering(arrival(True)))
+    campaign = CampaignSpec(name="x", runs=20, arms=(Arm(name="a"), Arm(name="b")))
+    scheduler, finished = fly(campaign)
+    assert scheduler.states.phase == "done"
+    assert Counter((one.run.arm, one.run.index) for one in finished) == Counter(
+        (arm, index) for arm in "ab" for index in range(20)
+    )
+
+
+def test_a_worker_not_heard_of_loses_its_runs_to_another(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    # Only the first worker is silent.
+    mark = tmp_path / "silent"
+    script = (
+        f"import pathlib, time\nmark = pathlib.Path({str(mark)!r})\n"
+        f"if not mark.exists():\n    mark.touch()\n    time.sleep(600)\n{arrival(True)}"
+    )
+    monkeypatch.setattr(local, "start_worker", answering(script))
+    scheduler, finished = fly(CampaignSpec(name="x", runs=3, arms=(Arm(name="a"),)), lease_s=2.0, slots=1)
+    assert len(finished) == 3
+    assert scheduler.states.runs[0].attempts == 2
+
+
+def test_a_campaign_stops_at_the_first_look_that_tells_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local, "start_worker", answering(arrival(True)))
+    stop = Stop(margin=0.1, looks=(10, 30))
+    scheduler, finished = fly(CampaignSpec(name="x", runs=60, arms=(Arm(name="a"),), stop=stop))
+    assert len(finished) == 30
+    assert scheduler.states.phase == "done"
+    assert scheduler.states.count("cancelled") == 30
+
+
+def rule_after(stop: Stop | None, successes: Mapping[str, Sequence[int]], runs_: int) -> StoppingRule:
+    campaign = CampaignSpec(name="x", runs=runs_, arms=tuple(Arm(name=name) for name in successes))
+    named = {cell.arm: cell for cell in cells(campaign)}
+    rule = StoppingRule(stop, [cell for cell in cells(campaign) for _ in range(runs_)], runs_)
+    for name, flights in successes.items():
+        for number, success in enumerate(flights):
+            rule.add(named[name], number, success=bool(success))
+    return rule
+
+
+def test_one_wide_cell_keeps_all_flying() -> None:
+    stop = Stop(margin=0.1, looks=(50,))
+    assert rule_after(stop, {"a": [1] * 50, "b": [1] * 50}, 200).look()
+    doubtful = rule_after(stop, {"a": [1] * 50, "b": [0, 1] * 25}, 200)
+    assert not doubtful.look()
+    assert doubtful.released == 200
+    assert doubtful.look()
+
+
+def test_looks_share_the_error() -> None:
+    # 93 of 100: +- 5.2 % at 95 %, +- 6.6 % at 98.3 % (three looks)
+    flights = [1] * 93 + [0] * 7
+    assert rule_after(Stop(margin=0.054, looks=(100,)), {"a": flights}, 200).look() is False
+    assert rule_after(Stop(margin=0.07, looks=(100, 150)), {"a": flights}, 200).look() is True
+    assert rule_after(Stop(margin=0.058, looks=(100, 150)), {"a": flights}, 200).look() is False
+
+
+def test_flights_beyond_a_look_do_not_sway_it() -> None:
+    # Resumed after the first look was not enough: the flights since then are not yet looked at.
+    rule = rule_after(Stop(margin=0.1, looks=(20, 200)), {"a": [0, 1] * 10 + [1] * 100}, 400)
+    assert rule.released == 20
+    assert not rule.look()
+    assert rule.released == 200
+
+
+def test_runs_of_one_twin_go_to_one_worker_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    tasks: list[local.Task] = []
+    submit = LocalExecutor.submit
+
+    def seen(executor: LocalExecutor, task: local.Task) -> local.Report:
+        tasks.append(task)
+        return submit(executor, task)
+
+    monkeypatch.setattr(LocalExecutor, "submit", seen)
+    monkeypatch.setattr(local, "start_worker", answering(arrival(True)))
+    faults = [None, FaultSpec(target="pid"), FaultSpec(target="octomap")]
+    arms = tuple(Arm(name=str(number), fault=fault) for number, fault in enumerate(faults))
+    fly(CampaignSpec(name="x", runs=8, arms=arms))
+    twins = [[twin_of(spec) for _, spec in task.runs] for task in tasks]
+    assert all(len(set(twin)) == 1 for twin in twins)
+    assert [len(twin) for twin in twins] == [3] * 8
+
+
+def twin_of(spec: MissionSpec) -> str:
+    return Run("", 0, spec).twin.model_dump_json()
+
+
+def test_what_cannot_be_written_is_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local, "start_worker", answering(arrival(True)))
+    planned = dict(enumerate(runs(CampaignSpec(name="x", runs=5, arms=(Arm(name="a"),)))))
+    states = CampaignStates({run: RunState() for run in planned}, 5)
+
+    def write(_: CampaignStates, __: Iterable[int], outcomes: Mapping[int, Outcome]) -> None:
+        if outcomes:
+            raise OSError("full")
+
+    finished: list[Finished] = []
+    with closing(LocalExecutor(1, 60.0)) as executor:
+        scheduler = Scheduler(
+            states,
+            planned,
+            executor,
+            StoppingRule(None, (run.cell for run in planned.values()), 5),
+            60.0,
+            write,
+        )
+        with pytest.raises(OSError, match="full"):
+            finished.extend(scheduler.fly())
+    assert finished == []

@@ -1,0 +1,98 @@
+"""What a campaign plans: cells, seeds, and what it refuses."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from dashboard.campaigns.spec import CampaignSpec, Cell, cells, load_campaign, runs
+from deploy.check import BadSpecError
+
+GOLDEN = {"name": "golden"}
+FLIP = {"name": "flip", "fault": {"target": "pid"}}
+
+
+def spec(**fields: Any) -> CampaignSpec:
+    return CampaignSpec.model_validate({"name": "x", "runs": 2, "arms": [GOLDEN], **fields})
+
+
+def test_cells_are_arms_times_worlds_times_faults() -> None:
+    campaign = spec(
+        arms=[{"name": "a"}, {"name": "b", "mission": {"planner": "rrt"}}],
+        worlds=["sparse", "dense"],
+        faults=[{"name": "none"}, FLIP],
+    )
+    assert len(cells(campaign)) == 8
+    assert Cell("b", "dense", "flip") in cells(campaign)
+    flown = list(runs(campaign))
+    assert len(flown) == 16
+    last = flown[-1]
+    assert (last.cell, last.index) == (("b", "dense", "flip"), 1)
+    assert last.spec.planner == "rrt"
+    assert last.spec.fault is not None
+    assert last.spec.fault.seed == 1
+    assert flown[0].spec.fault is None
+
+
+def test_an_arm_changes_only_what_it_names() -> None:
+    arms = [{"name": "a", "mission": {"limits": {"restarts": 0}, "profile": "paper"}}]
+    campaign = spec(mission={"limits": {"mission_time_s": 5.0}, "platform": "tx2"}, arms=arms)
+    mission = next(iter(runs(campaign))).spec
+    assert mission.limits.restarts == 0
+    assert mission.limits.mission_time_s == 5.0
+    assert mission.platform == "tx2"
+    assert mission.camera.width == 256
+
+
+def test_arms_fly_the_same_seeds() -> None:
+    seeds = [(run.arm, run.spec.seed) for run in runs(spec(mission={"seed": 5}, arms=[GOLDEN, FLIP]))]
+    assert seeds == [("golden", 5), ("flip", 5), ("golden", 6), ("flip", 6)]
+
+
+def test_flights_that_would_repeat_are_flown_once() -> None:
+    campaign = spec(runs=6, seeds=2, arms=[GOLDEN, FLIP])
+    golden = [run.spec.seed for run in runs(campaign) if run.arm == "golden"]
+    flips = [(run.spec.seed, run.spec.fault.seed) for run in runs(campaign) if run.spec.fault is not None]
+    assert golden == [0, 1]
+    assert flips == [(0, 0), (1, 1), (0, 2), (1, 3), (0, 4), (1, 5)]
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"wings": 2}, "wings"),
+        ({"runs": 10**9}, "runs"),
+        ({"runs": 60_000, "arms": [GOLDEN, FLIP]}, "runs: 120000 flights"),
+        ({"arms": []}, "arms"),
+        ({"arms": [GOLDEN, GOLDEN]}, "same name: golden"),
+        ({"worlds": ["sparse", "sparse"]}, "worlds"),
+        ({"faults": [FLIP], "arms": [FLIP]}, "arms: a fault"),
+        ({"mission": {"fault": {"target": "pid"}}}, "mission.fault"),
+        ({"seeds": 3}, "seeds"),
+        ({"mission": {"seed": 2**32 - 1}}, "mission.seed"),
+        ({"arms": [{"name": "a", "mission": {"wings": 2}}]}, "wings"),
+        ({"arms": [{"name": "a", "mission": {"seed": 2}}]}, "seed is not an arm's"),
+        ({"stop": {"margin": 0.1, "looks": [5, 1]}, "runs": 9}, "stop.looks"),
+        ({"stop": {"margin": 0.1, "looks": [2]}}, "stop.looks"),
+        ({"stop": {"margin": 0.0, "looks": [1]}}, "margin"),
+        ({"artefacts": "../elsewhere"}, "artefacts"),
+        ({"artefacts": "/etc"}, "artefacts"),
+        ({"limits": {"attempts": 0}}, "attempts"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(fields: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValidationError) as refusal:
+        spec(**fields)
+    assert says in str(refusal.value)
+
+
+def test_a_fault_on_a_missing_kernel_is_refused_with_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "bad.json"
+    path.write_text('{"name": "x", "runs": 1, "arms": [{"name": "a", "fault": {"target": "teapot"}}]}')
+    with pytest.raises(BadSpecError, match=r"arms: a: .*teapot"):
+        load_campaign(str(path))
+
+
+def test_presets_can_be_flown() -> None:
+    assert load_campaign("demo").name == "demo"

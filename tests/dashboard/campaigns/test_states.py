@@ -1,0 +1,173 @@
+"""The state machine under orders of events that nobody thought of."""
+
+from collections import Counter
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from dashboard.campaigns.events import (
+    Alive,
+    Begin,
+    Cancel,
+    Event,
+    Flown,
+    Leased,
+    Lost,
+    NotFlown,
+    NotNeeded,
+    Passed,
+    Pause,
+    Started,
+)
+from dashboard.campaigns.states import HELD, OPEN, CampaignStates, IllegalEventError, RunState
+
+RUNS, ATTEMPTS = 4, 2
+leases = st.sampled_from(["a", "b", "c"])
+runs = st.integers(0, RUNS - 1)
+times = st.floats(0, 10)
+events = st.one_of(
+    st.builds(Begin),
+    st.builds(Leased, leases, st.lists(runs, min_size=1, unique=True).map(tuple), times),
+    st.builds(Started, leases, runs),
+    st.builds(Alive, leases, times),
+    st.builds(Flown, leases, runs),
+    st.builds(NotFlown, leases, runs, st.just("broken")),
+    st.builds(Lost, leases, st.just("lost")),
+    st.builds(Passed, times),
+    st.builds(NotNeeded),
+    st.builds(Pause, st.just("interrupted")),
+    st.builds(Cancel),
+)
+
+
+def fresh(count: int = RUNS) -> CampaignStates:
+    return CampaignStates({index: RunState() for index in range(count)}, ATTEMPTS)
+
+
+def fly_the_rest(campaign: CampaignStates) -> None:
+    """A scheduler that comes afterwards, whose workers do not die."""
+    if campaign.phase in ("done", "cancelled"):
+        return
+    campaign.handle(Begin())
+    for index, run in list(campaign.runs.items()):
+        if run.phase == "queued":
+            for event in (Leased(f"rest {index}", (index,), 1.0), Started(f"rest {index}", index)):
+                campaign.handle(event)
+            campaign.handle(Flown(f"rest {index}", index))
+
+
+@given(st.lists(events, max_size=40))
+@settings(max_examples=400)
+def test_any_order_of_events_keeps_the_promises(story: list[Event]) -> None:
+    campaign = fresh()
+    results: Counter[int] = Counter()
+    for event in story:
+        before = dict(campaign.runs)
+        try:
+            changed = campaign.handle(event)
+        except IllegalEventError:
+            assert dict(campaign.runs) == before
+            continue
+        assert {index for index in before if before[index] != campaign.runs[index]} == set(changed)
+        if isinstance(event, Flown):
+            results.update(changed)
+        for index, run in campaign.runs.items():
+            assert (run.lease != "") == (run.phase in HELD)
+            assert run.attempts <= ATTEMPTS
+            if before[index].phase == "done":
+                assert run == before[index]
+            if run.phase in HELD:
+                assert campaign.phase == "running"
+        still = any(run.phase in OPEN for run in campaign.runs.values())
+        assert still or campaign.phase not in ("running", "paused") or isinstance(event, Pause)
+        assert campaign.phase not in ("done", "failed", "cancelled") or not still
+    done = {index for index, run in campaign.runs.items() if run.phase == "done"}
+    assert results == Counter(done)
+    fly_the_rest(campaign)
+    assert campaign.phase in ("done", "cancelled")
+    assert done <= {index for index, run in campaign.runs.items() if run.phase == "done"}
+
+
+def told(*story: Event, count: int = 2) -> CampaignStates:
+    campaign = fresh(count)
+    for event in (Begin(), *story):
+        campaign.handle(event)
+    return campaign
+
+
+def phases(campaign: CampaignStates) -> list[str]:
+    return [run.phase for run in campaign.runs.values()]
+
+
+def test_a_flight_from_the_queue_to_its_result() -> None:
+    campaign = told(Leased("a", (0, 1), 5.0), Started("a", 0), Flown("a", 0))
+    assert phases(campaign) == ["done", "leased"]
+    campaign.handle(Started("a", 1))
+    campaign.handle(Flown("a", 1))
+    assert campaign.phase == "done"
+
+
+def test_a_lost_worker_costs_an_attempt_only_of_what_it_flew() -> None:
+    campaign = told(Leased("a", (0, 1), 5.0), Started("a", 0), Lost("a", "killed"))
+    assert [(run.phase, run.attempts) for run in campaign.runs.values()] == [("queued", 1), ("queued", 0)]
+
+
+def test_retries_are_bounded() -> None:
+    campaign = fresh(1)
+    campaign.handle(Begin())
+    for name in ("a", "b"):
+        for event in (Leased(name, (0,), 5.0), Started(name, 0), Lost(name, "killed")):
+            campaign.handle(event)
+    assert campaign.phase == "failed"
+    assert campaign.runs[0].error == "killed, 2 times"
+
+
+def test_our_own_failure_is_not_tried_again() -> None:
+    campaign = told(Leased("a", (0,), 5.0), Started("a", 0), NotFlown("a", 0, "a bug"), count=1)
+    assert phases(campaign) == ["failed"]
+    assert campaign.runs[0].attempts == 1
+
+
+def test_a_silent_worker_loses_its_lease_and_its_late_result_is_stale() -> None:
+    campaign = told(Leased("a", (0,), 5.0), Started("a", 0), Alive("a", 9.0), Passed(8.0), count=1)
+    assert phases(campaign) == ["running"]
+    campaign.handle(Passed(9.5))
+    assert phases(campaign) == ["queued"]
+    assert campaign.handle(Flown("a", 0)) == []
+    assert phases(campaign) == ["queued"]
+    assert campaign.stale == 1
+
+
+def test_a_pause_gives_the_attempt_back() -> None:
+    campaign = told(Leased("a", (0, 1), 5.0), Started("a", 0), Pause("disk full"))
+    assert (campaign.phase, campaign.reason) == ("paused", "disk full")
+    assert all(run == RunState() for run in campaign.runs.values())
+
+
+def test_what_a_dead_scheduler_had_leased_is_queued_again() -> None:
+    left = {0: RunState("running", 1, "old"), 1: RunState("leased", 0, "old"), 2: RunState("done", 1)}
+    campaign = CampaignStates(left, ATTEMPTS, "running")
+    assert sorted(campaign.handle(Begin())) == [0, 1]
+    assert phases(campaign) == ["queued", "queued", "done"]
+    assert campaign.runs[0].attempts == 0
+
+
+def test_a_stopping_rule_ends_it_early() -> None:
+    campaign = told(Leased("a", (0,), 5.0), Started("a", 0), Flown("a", 0), NotNeeded())
+    assert phases(campaign) == ["done", "cancelled"]
+    assert campaign.phase == "done"
+
+
+@pytest.mark.parametrize("event", [Leased("a", (0,), 1.0), Pause("why"), NotNeeded()])
+def test_nothing_is_leased_before_the_beginning(event: Any) -> None:
+    with pytest.raises(IllegalEventError, match="queued"):
+        fresh().handle(event)
+
+
+def test_a_run_is_not_leased_twice() -> None:
+    campaign = told(Leased("a", (0,), 5.0))
+    with pytest.raises(IllegalEventError, match="run 0"):
+        campaign.handle(Leased("b", (0, 1), 5.0))
+    assert phases(campaign) == ["leased", "queued"]
