@@ -31,6 +31,7 @@ from dashboard.campaigns.summary import summarise
 from dashboard.commands.bench import bench
 from dashboard.commands.options import as_json
 from dashboard.commands.redundancy import redundancy
+from dashboard.commands.train import train
 from dashboard.commands.world import world
 from deploy.check import BadSpecError, check, one_line
 from deploy.definitions import inlined
@@ -38,6 +39,7 @@ from deploy.doctor import examine
 from deploy.forkserver import ForkServer, ForkServerError
 from deploy.pairing import NothingToInjectError, Pairs
 from deploy.supervisor import InfrastructureError
+from detector.errors import DetectionInputError
 from services.bus.mission import FaultSpec, MissionSpec
 
 messages = Console(stderr=True)
@@ -100,6 +102,7 @@ def _fault(text: str, seed: int) -> FaultSpec:
 zenfi.add_command(world)
 zenfi.add_command(bench)
 zenfi.add_command(redundancy)
+zenfi.add_command(train)
 
 
 @zenfi.group()
@@ -185,7 +188,7 @@ def main() -> None:
     """Entry point of the ``zenfi`` command."""
     try:
         zenfi.main(standalone_mode=False)
-    except (click.ClickException, BadSpecError, NothingToInjectError) as error:
+    except (click.ClickException, BadSpecError, NothingToInjectError, DetectionInputError) as error:
         text = error.format_message() if isinstance(error, click.ClickException) else str(error)
         _give_up(text, 2)
     except ValidationError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from deploy.scratch import mission_folder
 from deploy.supervisor import InfrastructureError, Member, Supervisor
 from services.bus import session
 from services.bus.clock import FlightClock
-from services.bus.horizon import NEVER_NS
+from services.bus.horizon import NEVER_NS, Stamped
 from services.bus.messages import Horizon, decode, encode
 from services.bus.mission import MissionSpec
 from services.bus.node import LIFE_SHIFT, NodeSetup
@@ -50,24 +50,27 @@ class LostMessageError(InfrastructureError):
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """An outcome with the trace that a golden twin is compared by."""
+    """An outcome with the trace that a golden twin is compared by, and the messages that were asked for."""
 
     outcome: Outcome
     trace: Trace
+    messages: Mapping[str, list[Stamped]]
 
 
-def fly(spec: MissionSpec, server: ForkServer) -> Flight:
+def fly(spec: MissionSpec, server: ForkServer, keep: Collection[str] = ()) -> Flight:
     """Fly one mission on a fork server; a pure function of ``spec`` as far as virtual time goes.
+
+    ``keep`` are the topics whose messages the flight is to hold: all would be megabytes.
 
     :raises InfrastructureError: if we failed. A crashed vehicle or node returns normally.
     """
     attempts = 3
     for _ in range(attempts - 1):
         try:
-            return _Mission(spec, server).fly()
+            return _Mission(spec, server).fly(keep)
         except LostMessageError:
             continue
-    return _Mission(spec, server).fly()
+    return _Mission(spec, server).fly(keep)
 
 
 class _Mission:
@@ -84,7 +87,7 @@ class _Mission:
         self._end_ns = NEVER_NS
         self._last_word = 0.0
 
-    def fly(self) -> Flight:
+    def fly(self, keep: Collection[str]) -> Flight:
         begin = time.monotonic()
         with mission_folder() as folder:
             meeting = session.Meeting(folder, f"zenfi/{folder.name}")
@@ -98,7 +101,8 @@ class _Mission:
                     self._until_ended()
                     self._supervisor.end(GRACE_S, lambda: self._take_in(0.001))
                     trace = self._recorder.trace(self._end_ns)
-                    return Flight(self._outcome(trace, time.monotonic() - begin), trace)
+                    messages = {topic: self._recorder.until(topic, self._end_ns) for topic in keep}
+                    return Flight(self._outcome(trace, time.monotonic() - begin), trace, messages)
                 finally:
                     self._supervisor.close()
 

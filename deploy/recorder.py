@@ -116,11 +116,15 @@ class Recorder:
         """Whether everything up to and including ``end_ns`` is recorded."""
         return all(channel.horizon_ns > end_ns for channel in self._channels.values())
 
+    def until(self, topic: str, end_ns: int) -> list[Stamped]:
+        """The messages of a topic that were ready up to and including ``end_ns``."""
+        return [message for message in self._history[topic] if message.ready_ns <= end_ns]
+
     def trace(self, end_ns: int) -> Trace:
         """Times and digests of what was ready up to and including ``end_ns``."""
         trace = Trace()
-        for topic, history in self._history.items():
-            kept = [message for message in history if message.ready_ns <= end_ns]
+        for topic in self._history:
+            kept = self.until(topic, end_ns)
             trace.times_ns[topic] = [message.ready_ns for message in kept]
             trace.digests[topic] = [_digest(message) for message in kept]
         return trace

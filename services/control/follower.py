@@ -15,6 +15,9 @@ and its latency. One farther off leaves planning the time to lead around it in f
 
 DECELERATION_M_S2 = 4.0
 
+WAYPOINT_FIELDS = 10
+"""Numbers of a tracked waypoint: duration, x y z, vx vy vz, ax ay az."""
+
 
 class Follower:
     """Keeps the newest trajectory and says which curve the kernel has to follow.
@@ -87,3 +90,17 @@ class Follower:
             self._stop = stopping(now_s, position, velocity, yaw, DECELERATION_M_S2)
             self._state[:] = 0.0
         return self._stop
+
+
+def waypoint(curve: NDArray[np.float64], now_s: float) -> NDArray[np.float64]:
+    """The waypoint of ``curve`` (n, 12) that is flown towards at ``now_s``: (``WAYPOINT_FIELDS``,).
+
+    Its duration is the time in s that the curve grants from the row before it; after the curve's end it is
+    the last row, before its beginning and on a curve of one row the first with no duration.
+    """
+    last = len(curve) - 1
+    index = min(int(np.searchsorted(curve[:, 0], now_s, side="right")), last)
+    tracked = np.zeros(WAYPOINT_FIELDS)
+    tracked[0] = curve[index, 0] - curve[index - 1, 0] if index else 0.0
+    tracked[1:] = curve[index, 1:10]
+    return tracked

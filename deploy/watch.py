@@ -1,0 +1,126 @@
+"""From a flight's messages to the checks that its stages would have asked a detector for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from deploy.forkserver import ForkServer
+from deploy.mission import Flight, fly
+from deploy.pairing import compare, draw_trigger
+from detector.series import Checks, Series
+from detector.watched import WATCHED
+from services.bus.arrays import Floats, plan, state, verdict
+from services.bus.horizon import Stamped
+from services.bus.messages import decode
+from services.bus.mission import MissionSpec
+from services.bus.topics import TICK_NS, TOPICS
+from services.control.follower import Follower, waypoint
+
+TOPICS_WATCHED = ("odometry", "collision_check", "trajectory", "command")
+"""What :func:`deploy.mission.fly` has to keep for :func:`series`."""
+
+
+def record(spec: MissionSpec, server: ForkServer) -> Series:
+    """Fly a mission and keep what detectors would see; one with a fault beside its golden twin.
+
+    :raises NothingToInjectError: if the twin never runs the fault's kernel.
+    """
+    if spec.fault is None:
+        return series(spec, fly(spec, server, TOPICS_WATCHED))
+    twin = fly(spec.model_copy(update={"fault": None}), server)
+    fault = spec.fault.model_copy(update={"trigger": draw_trigger(spec.fault, twin.outcome)})
+    flight = fly(spec.model_copy(update={"fault": fault}), server, TOPICS_WATCHED)
+    made = series(spec, flight)
+    nodes = compare(flight, twin).nodes.values()
+    return Series(made.checks, {**made.about, "sdc": any(node.result == "sdc" for node in nodes)})
+
+
+def series(spec: MissionSpec, flight: Flight) -> Series:
+    """The checks of the mission ``spec``, flown with ``keep=TOPICS_WATCHED``.
+
+    Perception and planning are asked for what they published. Control also for the waypoint that it
+    tracked, which is on no topic: its follower is run again over what it had received. Its ticks after a
+    restart are not told apart, so a flight in which control died is watched as if it had lived on.
+    """
+    messages, outcome = flight.messages, flight.outcome
+    about = {
+        "spec": spec.model_dump(mode="json"),
+        "result": outcome.result,
+        "digest": outcome.digest,
+        "time_s": max(times[-1] for times in flight.trace.times_ns.values() if times) / 1e9,
+    }
+    if outcome.injection is not None and outcome.injection.status == "injected":
+        about["injected_s"] = outcome.injection.virtual_time_ns / 1e9
+    checks = {
+        "perception": _perception(messages["collision_check"]),
+        "planning": _planning(messages["trajectory"]),
+        "control": _control(messages),
+    }
+    return Series(checks, about)
+
+
+def _perception(found: list[Stamped]) -> Checks:
+    rows = [verdict(_read("collision_check", one)) for one in found]
+    values = [(one.time_to_collision_s, one.future_collision_seq) for one in rows]
+    return _single("perception", [np.array(row, dtype=np.float64) for row in values], _times(found))
+
+
+def _planning(made: list[Stamped]) -> Checks:
+    plans = [plan(_read("trajectory", one)) for one in made]
+    rows = [
+        np.column_stack(
+            (
+                one.points[:, :11],
+                np.full(len(one.points), float(one.trajectory_seq)),
+                np.full(len(one.points), float(one.future_collision_seq)),
+            )
+        )
+        for one in plans
+    ]
+    lengths = np.array([len(one) for one in rows], dtype=np.int64)
+    values = np.concatenate([np.empty((0, len(WATCHED["planning"]))), *rows])
+    return Checks(values, np.cumsum(lengths) - lengths, _times(made))
+
+
+def _control(messages: Mapping[str, list[Stamped]]) -> Checks:
+    """Run the follower again; control takes up each odometry message unless it is still busy."""
+    follower, rows, times = Follower(), [], []
+    checks, plans = iter(messages["collision_check"]), iter(messages["trajectory"])
+    check, made = next(checks, None), next(plans, None)
+    odometry = {one.ready_ns: one for one in messages["odometry"]}
+    curves, followed = 0, None
+    for sent in messages["command"]:
+        command = _read("command", sent)
+        tick = sent.ready_ns // TICK_NS * TICK_NS
+        while check is not None and check.ready_ns <= tick:
+            follower.take_verdict(*verdict(_read("collision_check", check)))
+            check = next(checks, None)
+        while made is not None and made.ready_ns <= tick:
+            follower.take_trajectory(*plan(_read("trajectory", made))[:3])
+            made = next(plans, None)
+        here = state(_read("odometry", odometry[tick]))
+        curve = follower.curve(tick / 1e9, here.position, here.velocity, here.yaw)
+        curves += curve is not followed
+        followed = curve
+        linear, turn = command.twist.linear, command.twist.angular.z
+        flown = (linear.x, linear.y, linear.z, turn)
+        rows.append(np.concatenate(([curves], waypoint(curve, tick / 1e9), flown)))
+        times.append(tick / 1e9)
+    return _single("control", rows, np.array(times))
+
+
+def _single(stage: str, rows: list[Floats], times_s: Floats) -> Checks:
+    """Checks of one row each."""
+    values = np.array(rows, dtype=np.float64).reshape(-1, len(WATCHED[stage]))
+    return Checks(values, np.arange(len(rows)), times_s)
+
+
+def _times(messages: list[Stamped]) -> Floats:
+    return np.array([one.ready_ns / 1e9 for one in messages])
+
+
+def _read(topic: str, message: Stamped) -> Any:
+    return decode(message.payload, TOPICS[topic].type)
