@@ -17,7 +17,7 @@ from services.bus.horizon import Stamped
 from services.bus.messages import decode
 from services.bus.mission import MissionSpec
 from services.bus.topics import TICK_NS, TOPICS
-from services.control.follower import Follower, waypoint
+from services.control.follower import Follower, waypoints
 
 TOPICS_WATCHED = ("odometry", "collision_check", "trajectory", "command")
 """What :func:`deploy.mission.fly` has to keep for :func:`series`."""
@@ -63,9 +63,11 @@ def series(spec: MissionSpec, flight: Flight) -> Series:
 
 
 def _perception(found: list[Stamped]) -> Checks:
-    rows = [verdict(_read("collision_check", one)) for one in found]
-    values = [(one.time_to_collision_s, one.future_collision_seq) for one in rows]
-    return _single("perception", [np.array(row, dtype=np.float64) for row in values], _times(found))
+    verdicts = [verdict(_read("collision_check", one)) for one in found]
+    values = np.array(
+        [(one.time_to_collision_s, one.future_collision_seq) for one in verdicts], dtype=np.float64
+    )
+    return Checks(values.reshape(-1, len(WATCHED["perception"])), np.arange(len(found)), _times(found))
 
 
 def _planning(made: list[Stamped]) -> Checks:
@@ -106,16 +108,11 @@ def _control(messages: Mapping[str, list[Stamped]]) -> Checks:
         curves += curve is not followed
         followed = curve
         linear, turn = command.twist.linear, command.twist.angular.z
-        flown = (linear.x, linear.y, linear.z, turn)
-        rows.append(np.concatenate(([curves], waypoint(curve, tick / 1e9), flown)))
+        flown = np.tile((linear.x, linear.y, linear.z, turn), (2, 1))
+        rows.append(np.hstack((np.full((2, 1), float(curves)), waypoints(curve, tick / 1e9), flown)))
         times.append(tick / 1e9)
-    return _single("control", rows, np.array(times))
-
-
-def _single(stage: str, rows: list[Floats], times_s: Floats) -> Checks:
-    """Checks of one row each."""
-    values = np.array(rows, dtype=np.float64).reshape(-1, len(WATCHED[stage]))
-    return Checks(values, np.arange(len(rows)), times_s)
+    values = np.concatenate(rows) if rows else np.empty((0, len(WATCHED["control"])))
+    return Checks(values, 2 * np.arange(len(rows)), np.array(times))
 
 
 def _times(messages: list[Stamped]) -> Floats:

@@ -39,6 +39,7 @@ MARGIN = 1.25
 
 _COLUMNS = np.array([WATCHED[STAGE].index(name) for name in INPUTS])
 _FLOORS = np.array([FLOORS[name] for name in INPUTS])
+_COMMANDS = np.array([name.startswith("command.") for name in INPUTS])
 _CURVE_COLUMN = WATCHED[STAGE].index(CURVE)
 
 _Inputs = Annotated[list[float], Field(min_length=SIZES[0], max_length=SIZES[0])]
@@ -146,19 +147,21 @@ def inspect(memory: Floats, network: Floats, values: Floats, accept: bool) -> in
     The score is left in ``memory``; if ``accept``, a tick that passes becomes the predecessor of the next.
     """
     bits = values.view(np.int64)
-    compared = memory[_KNOWN] != 0.0 and values[0, _CURVE_COLUMN] == memory[_CURVE]
+    compared = memory[_KNOWN] != 0.0 and values[1, _CURVE_COLUMN] == memory[_CURVE]
     now, change = np.empty(_IN), np.zeros(_IN)
     for index in range(_IN):
-        column = _COLUMNS[index]
-        now[index] = level(bits[0, column], values[0, column], _FLOORS[index], False, 0)
-        if compared:
+        column, floor = _COLUMNS[index], _FLOORS[index]
+        now[index] = level(bits[1, column], values[1, column], floor, False, 0)
+        if not _COMMANDS[index]:
+            change[index] = now[index] - level(bits[0, column], values[0, column], floor, False, 0)
+        elif compared:
             change[index] = now[index] - memory[4 + index]
     memory[_SCORE] = _error(memory, network, change) / network[0]
     if memory[_SCORE] > LIMIT:
         return int(memory[_WORST])
     if accept:
         memory[4:] = now
-        memory[_KNOWN], memory[_CURVE] = 1.0, values[0, _CURVE_COLUMN]
+        memory[_KNOWN], memory[_CURVE] = 1.0, values[1, _CURVE_COLUMN]
     return -1
 
 

@@ -1,8 +1,8 @@
 """Changes of the levels over a recorded flight: what the Gaussian and the autoencoder learn from.
 
 What counts as a predecessor is the same here and in a flight: a point of a trajectory follows the point
-before it, a sequence number that of the trajectory before it, and control's waypoint and command follow
-those of the tick before unless another curve was taken up: there they may jump.
+before it, planned or tracked, a sequence number that of the trajectory before it, and a command that of the
+tick before, unless control took up another curve: there it may jump.
 """
 
 from __future__ import annotations
@@ -19,14 +19,22 @@ CARRIED = frozenset({"trajectory.trajectory_seq", "trajectory.future_collision_s
 
 
 def changes(stage: str, checks: Checks, form: str = "folded") -> dict[str, NDArray[np.float64]]:
-    """By state the changes of a flight, in order; the first of anything has none."""
-    columns = {name: index for index, name in enumerate(WATCHED[stage]) if name != CURVE}
+    """By state the changes of a flight, in order; what has no predecessor has none.
+
+    Control's commands count as unchanged there, so that all its states have one change a tick.
+    """
     made = {}
-    for name, column in columns.items():
+    for column, name in enumerate(WATCHED[stage]):
         values = checks.values[:, column]
-        if name in CARRIED and stage == "planning":
-            begins = checks.first[checks.first < len(values)]
-            begins = begins[[index == 0 or begins[index - 1] != begin for index, begin in enumerate(begins)]]
+        if name == CURVE:
+            continue
+        if stage == "control":
+            seen = levels(name, values, form).reshape(-1, 2)
+            made[name] = seen[:, 1] - seen[:, 0]
+            if name.startswith("command."):
+                made[name][1:] = np.where(followed(stage, checks), np.diff(seen[:, 1]), 0.0)
+        elif name in CARRIED:
+            begins = [checks.rows(check).start for check in range(len(checks)) if not checks.empty(check)]
             made[name] = np.diff(levels(name, values[begins], form))
         else:
             made[name] = np.diff(levels(name, values, form))[followed(stage, checks)]
@@ -34,12 +42,11 @@ def changes(stage: str, checks: Checks, form: str = "folded") -> dict[str, NDArr
 
 
 def followed(stage: str, checks: Checks) -> NDArray[np.bool_]:
-    """(rows - 1,) whether each row from the second on is compared with the row before it."""
-    rows = max(len(checks.values) - 1, 0)
+    """Whether each row from the second on is compared with the row before it; of control, each check."""
     if stage == "control":
-        curve = checks.values[:, WATCHED[stage].index(CURVE)]
+        curve = checks.values[1::2, WATCHED[stage].index(CURVE)]
         return np.asarray(curve[1:] == curve[:-1])
-    known = np.ones(rows + 1, dtype=bool)
+    known = np.ones(max(len(checks.values), 1), dtype=bool)
     if stage == "planning":
-        known[checks.first[checks.first <= rows]] = False
+        known[checks.first[checks.first < len(known)]] = False
     return known[1:]

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.changes import changes, followed
+from detector.changes import CARRIED, changes, followed
 from detector.preprocess import levels
 from detector.scheme import Scheme
-from detector.series import Series
+from detector.series import Checks, Series
 from detector.watched import DURATION, WATCHED
 from services.bus.rng import generator
 
@@ -75,16 +75,26 @@ def flips(flight: Series, largest: Mapping[str, float], samples: int, seed: int)
             shows = places[index]
             first = shows[0]
             checks = flight.checks[first.stage]
-            row = int(checks.first[first.check]) + first.row
-            value = float(checks.values[row, first.column])
-            follows = row > 0 and bool(followed(first.stage, checks)[row - 1])
-            before = float(checks.values[row - 1, first.column]) if follows else None
+            value = float(checks.values[checks.rows(first.check)][first.row, first.column])
+            before = _before(checks, first)
             for bit in range(32 if _counts(state) else 64):
                 after = flipped(value, bit, count=_counts(state))
                 change = 0.0
                 if before is not None:
                     change = float(np.diff(levels(state, np.array([before, after])))[0])
                 yield Flip(state, bit, _field(bit, state), value, after, abs(change) > largest[state], shows)
+
+
+def _before(checks: Checks, show: Show) -> float | None:
+    """The value that a corrupted one is compared with, None if there is none."""
+    row = int(checks.first[show.check]) + show.row
+    known = followed(show.stage, checks)
+    if show.stage == "control":
+        return float(checks.values[row - 2, show.column]) if known[show.check - 1] else None
+    if WATCHED[show.stage][show.column] in CARRIED:
+        step = checks.rows(show.check - 1).stop - checks.rows(show.check - 1).start
+        return float(checks.values[row - step, show.column]) if step else None
+    return float(checks.values[row - 1, show.column]) if row and known[row - 1] else None
 
 
 def flipped(value: float, bit: int, *, count: bool) -> float:
@@ -141,17 +151,17 @@ def _places(flight: Series, state: str) -> list[tuple[Show, ...]]:
         ]
     if state.startswith("command."):
         column = WATCHED["control"].index(state)
-        return [(Show("control", check, 0, column),) for check in range(1, len(flight.checks["control"]))]
+        return [(Show("control", check, 1, column),) for check in range(1, len(flight.checks["control"]))]
     column = WATCHED["planning"].index(state)
     if _counts(state):
         plans = flight.checks["planning"]
-        made = [check for check in range(len(plans)) if plans.values[plans.rows(check)].size]
+        made = [check for check in range(len(plans)) if not plans.empty(check)]
         return [(Show("planning", check, 0, column),) for check in made[1:]]
     seen = DURATION if state == "trajectory.t" else state
     tracked = WATCHED["control"].index(seen) if seen in WATCHED["control"] else None
     return [
         (Show("planning", plan, row, column),)
-        + ((Show("control", tick, 0, tracked),) if tracked is not None else ())
+        + ((Show("control", tick, 1, tracked),) if tracked is not None else ())
         for plan, row, tick in _tracked(flight)
     ]
 
@@ -163,7 +173,7 @@ def _tracked(flight: Series) -> list[tuple[int, int, int]]:
     for plan in range(len(plans)):
         motion = plans.values[plans.rows(plan)][:, _MOTION_COLUMNS["planning"]]
         rows |= {line.tobytes(): (plan, row) for row, line in enumerate(np.ascontiguousarray(motion))}
-    motion = np.ascontiguousarray(ticks.values[:, _MOTION_COLUMNS["control"]])
+    motion = np.ascontiguousarray(ticks.values[1::2, _MOTION_COLUMNS["control"]])
     entered: NDArray[np.int64] = 1 + np.flatnonzero((motion[1:] != motion[:-1]).any(axis=1))
     found = ((rows.get(motion[tick].tobytes()), int(tick)) for tick in entered)
     return [(place[0], place[1], tick) for place, tick in found if place is not None]

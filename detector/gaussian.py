@@ -148,7 +148,7 @@ def _fit(name: str, samples: Floats, form: str, sigmas: float | None) -> dict[st
     margin = RAW_MARGIN * largest if form == "raw" else MARGIN
     # What never changed in training may change a little: a rounded number's variance is 1/12.
     squares = squares or (count - 1) / 12.0
-    fitted = (largest + margin) / math.sqrt(squares / (count - 1))
+    fitted = (largest + margin or MARGIN) / math.sqrt(squares / (count - 1))
     return {"count": count, "mean": mean, "squares": squares, "sigmas": sigmas or fitted}
 
 
@@ -186,7 +186,8 @@ def inspect(table: Floats, values: Floats, mode: int) -> int:
     passes becomes the predecessor of the next.
     """
     head, bits, form = table[0], values.view(np.int64), int(table[0, _FORM])
-    fresh = head[_KIND] == 1.0 or (head[_KIND] == 2.0 and values[0, _CURVE_COLUMN] != head[_CURVE])
+    begin = 1 if head[_KIND] == 2.0 else 0
+    fresh = head[_KIND] == 1.0 or (begin == 1 and values[1, _CURVE_COLUMN] != head[_CURVE])
     worst, found, where = 0.0, -1, 0
     for index in range(1, len(table)):
         state = table[index]
@@ -194,7 +195,7 @@ def inspect(table: Floats, values: Floats, mode: int) -> int:
         carried = state[_CARRIED] != 0.0
         before = state[_LAST]
         known = head[_KNOWN] != 0.0 and (carried or not fresh)
-        for row in range(min(len(values), 1) if carried else len(values)):
+        for row in range(begin, min(len(values), 1) if carried else len(values)):
             now = level(bits[row, column], values[row, column], floor, none, form)
             if known:
                 off = now - before - state[_MEAN]
@@ -218,13 +219,14 @@ def inspect(table: Floats, values: Floats, mode: int) -> int:
 @njit(cache=True)
 def _accept(table: Floats, values: Floats, fresh: bool, mode: int) -> None:
     head, bits, form = table[0], values.view(np.int64), int(table[0, _FORM])
+    begin = 1 if head[_KIND] == 2.0 else 0
     for index in range(1, len(table)):
         state = table[index]
         column, floor, none = int(state[_COLUMN]), int(state[_FLOOR]), state[_NONE] != 0.0
         carried = state[_CARRIED] != 0.0
         known = mode == _LEARN and head[_KNOWN] != 0.0 and (carried or not fresh)
         before = state[_LAST]
-        for row in range(min(len(values), 1) if carried else len(values)):
+        for row in range(begin, min(len(values), 1) if carried else len(values)):
             now = level(bits[row, column], values[row, column], floor, none, form)
             if known:
                 change = now - before
@@ -235,5 +237,5 @@ def _accept(table: Floats, values: Floats, fresh: bool, mode: int) -> None:
             before, known = now, mode == _LEARN
         state[_LAST] = before
     head[_KNOWN] = 1.0
-    if head[_KIND] == 2.0:
-        head[_CURVE] = values[0, _CURVE_COLUMN]
+    if begin == 1:
+        head[_CURVE] = values[1, _CURVE_COLUMN]

@@ -78,7 +78,7 @@ _EXACT = (_ANSWERED, _COLLISIONS)  # counted one by one: no margin
 _KINDS = {"perception": 0, "planning": 1, "control": 2}
 _WIDEST = max(len(columns) for columns in WATCHED.values())
 
-# What is remembered of the two checks before (the last row of each), after how many are.
+# How many checks before are remembered (two at most), and the last row of each.
 _KNOWN, _LAST, _BEFORE = 0, 1, 1 + _WIDEST
 _MEMORY = 1 + 2 * _WIDEST
 
@@ -182,7 +182,7 @@ def measure(kind: int, memory: Floats, values: Floats, largest: Floats, rows: Fl
     elif kind == 1:
         _planning(memory, values, largest, rows)
     else:
-        _control(memory, values[0], largest, rows)
+        _control(memory, values[0], values[1], largest, rows)
 
 
 @njit(cache=True)
@@ -235,7 +235,7 @@ def _planning(memory: Floats, points: Floats, largest: Floats, rows: Floats) -> 
 
 
 @njit(cache=True)
-def _control(memory: Floats, tick: Floats, largest: Floats, rows: Floats) -> None:
+def _control(memory: Floats, behind: Floats, tick: Floats, largest: Floats, rows: Floats) -> None:
     """Columns: curve, duration, x y z, vx vy vz, ax ay az, command vx vy vz, yaw rate."""
     duration, waypoint, command, turn = tick[1], tick[2:11], tick[11:14], tick[14]
     _motion(waypoint, largest, rows, 0)
@@ -243,11 +243,11 @@ def _control(memory: Floats, tick: Floats, largest: Floats, rows: Floats) -> Non
     _raise(largest, rows, _COMMAND, _size(command), 0)
     _raise(largest, rows, _COMMAND_OFF, _size(command - waypoint[3:6]), 0)
     _raise(largest, rows, _TURN, abs(turn), 0)
+    if (waypoint != behind[2:11]).any():
+        _agree(behind[2:11], waypoint, duration, largest, rows, 0)
     last = memory[_LAST:_BEFORE]
     if memory[_KNOWN] == 0.0 or last[0] != tick[0]:
         return
-    if (waypoint != last[2:11]).any():
-        _agree(last[2:11], waypoint, duration, largest, rows, 0)
     step = command - last[11:14]
     _raise(largest, rows, _COMMAND_STEP, _size(step), 0)
     _raise(largest, rows, _TURN_STEP, abs(turn - last[14]), 0)

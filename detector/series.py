@@ -38,6 +38,11 @@ class Checks:
     def __len__(self) -> int:
         return len(self.first)
 
+    def empty(self, check: int) -> bool:
+        """Whether a check has no row: a trajectory that says that there is no way."""
+        rows = self.rows(check)
+        return bool(rows.start == rows.stop)
+
     def rows(self, check: int) -> slice:
         """The rows of a check."""
         end = self.first[check + 1] if check + 1 < len(self.first) else len(self.values)

@@ -1,7 +1,8 @@
 """What a detector is shown: for each stage the monitored values of one check, column by column.
 
-A check of perception or control is one row, one of planning a row for each point of the new
-trajectory, its sequence numbers the same in every row. All values are float64, SI units, world frame.
+A check of perception is one row, one of planning a row for each point of the new trajectory, its sequence
+numbers the same in every row. One of control is two rows: the row of the curve behind the tracked waypoint,
+then the waypoint; both have the command that was made for it. All values are float64, SI units, world frame.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ _MOTION = tuple(f"trajectory.{name}" for name in ("x", "y", "z", "vx", "vy", "vz
 _COMMAND = ("command.vx", "command.vy", "command.vz", "command.yaw_rate")
 
 CURVE = "curve"
-"""Control's count of the curves (trajectories and stops) that it took up: the waypoint of another curve
-has no predecessor. No state that a fault strikes."""
+"""Control's count of the curves (trajectories and stops) that it took up: where it changes the command may
+jump. No state that a fault strikes."""
 
 DURATION = "trajectory.duration"
-"""Of the tracked waypoint: time in s from the row before it."""
+"""Of a waypoint: time in s from the row before it."""
 
 WATCHED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {

@@ -92,15 +92,18 @@ class Follower:
         return self._stop
 
 
-def waypoint(curve: NDArray[np.float64], now_s: float) -> NDArray[np.float64]:
-    """The waypoint of ``curve`` (n, 12) that is flown towards at ``now_s``: (``WAYPOINT_FIELDS``,).
+def waypoints(curve: NDArray[np.float64], now_s: float) -> NDArray[np.float64]:
+    """The waypoint of ``curve`` (n, 12) that is flown towards at ``now_s`` and the row behind it.
 
-    Its duration is the time in s that the curve grants from the row before it; after the curve's end it is
-    the last row, before its beginning and on a curve of one row the first with no duration.
+    (2, ``WAYPOINT_FIELDS``), the row behind first. A duration is the time in s that the curve grants from the
+    row before; the curve's first row has that of the second. After the curve's end the last row is flown
+    towards, before its beginning the first, which then also stands behind.
     """
     last = len(curve) - 1
-    index = min(int(np.searchsorted(curve[:, 0], now_s, side="right")), last)
-    tracked = np.zeros(WAYPOINT_FIELDS)
-    tracked[0] = curve[index, 0] - curve[index - 1, 0] if index else 0.0
-    tracked[1:] = curve[index, 1:10]
-    return tracked
+    ahead = min(int(np.searchsorted(curve[:, 0], now_s, side="right")), last)
+    rows = np.zeros((2, WAYPOINT_FIELDS))
+    for row, index in zip(rows, (max(ahead - 1, 0), ahead), strict=True):
+        begun = min(max(index, 1), last)
+        row[0] = curve[begun, 0] - curve[max(begun - 1, 0), 0]
+        row[1:] = curve[index, 1:10]
+    return rows
