@@ -31,11 +31,11 @@ def load_lessons(path: Path) -> list[Lesson]:
     :raises BadSeriesError: if the file holds none.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         names = [name for name in arrays if not name.endswith("/lengths")]
         ends = {name: np.cumsum(arrays[f"{name}/lengths"])[:-1] for name in names}
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
         message = f"{path}: holds no lessons ({error})"
         raise BadSeriesError(message) from error
     parts = {name: np.split(arrays[name], ends[name]) for name in names}

@@ -6,9 +6,12 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
+import numpy as np
+
 from detector.errors import DetectionInputError
 from detector.model import BadModelError, read_model, what_is_wrong
 from detector.scheme import Scheme
+from detector.watched import ROWS, WATCHED
 
 GROUP = "zenfi.detectors"
 MODELS = Path(__file__).parent / "models"
@@ -74,3 +77,16 @@ def load_detector(name: str, path: Path | None = None, *, learning: bool = True)
     except ValueError as error:
         message = f"{file}: no parameters of {name!r} ({what_is_wrong(error)})"
         raise BadModelError(message) from error
+
+
+def warm_up() -> None:
+    """Compile the detectors that come along before there is a flight."""
+    for name in with_models():
+        detector = load_detector(name)
+        for stage, columns in WATCHED.items():
+            for writeable in (True, False):
+                # What comes from the bus is read-only: to numba a type of its own.
+                values = np.zeros((ROWS[stage] or 3, len(columns)))
+                values.setflags(write=writeable)
+                detector.score(stage, values)
+                detector.check(stage, values)

@@ -85,7 +85,7 @@ def load_series(path: Path) -> Series:
     :raises BadSeriesError: if the file is no recorded flight of the states that are watched now.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             about = json.loads(str(stored["about"]))
             MissionSpec.model_validate(about["spec"])
             checks = {
@@ -96,7 +96,7 @@ def load_series(path: Path) -> Series:
                 )
                 for stage in WATCHED
             }
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, KeyError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
         message = f"{path}: not a recorded flight ({error}); make it by zenfi train record"
         raise BadSeriesError(message) from error
     for stage, columns in WATCHED.items():

@@ -10,6 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+import numpy as np
+from numpy.typing import NDArray
+
 _MOTION = tuple(f"trajectory.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az"))
 _COMMAND = ("command.vx", "command.vy", "command.vz", "command.yaw_rate")
 
@@ -34,3 +37,21 @@ WATCHED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 """Columns of a check by stage; what stands in ``services/bus/states.py`` has its name there."""
+
+ROWS: Mapping[str, int | None] = MappingProxyType({"perception": 1, "planning": None, "control": 2})
+"""Rows of a check, None for any number."""
+
+
+def as_check(stage: str, numbers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The check (rows, columns) that ``numbers`` hold row by row: what schemes, which trust its shape, take.
+
+    :raises ValueError: if there is no such stage, or they are no whole rows of it.
+    """
+    if stage not in WATCHED:
+        message = f"no stage {stage!r} is watched"
+        raise ValueError(message)
+    rows, rest = divmod(numbers.size, len(WATCHED[stage]))
+    if rest or ROWS[stage] not in (None, rows):
+        message = f"{numbers.size} numbers are no check of {stage}"
+        raise ValueError(message)
+    return np.ascontiguousarray(numbers, dtype=np.float64).reshape(rows, len(WATCHED[stage]))
