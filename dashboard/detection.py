@@ -48,7 +48,19 @@ def as_dict(result: Evaluation) -> dict[str, Any]:
 
 
 def show(console: Console, name: str, result: Evaluation) -> None:
-    """Print it."""
+    """Print what there is: of golden flights false alarms and flips found, of injected ones the delay."""
+    if result.flights:
+        _show_golden(console, name, result)
+    if result.injected:
+        delays = sorted(result.delays_s)
+        middle = f", half of them within {delays[len(delays) // 2]:.2f} s" if delays else ""
+        console.print(
+            f"{name}: {result.injected} injected flights, {result.injected_sdc} with SDC;"
+            f" {len(delays)} alarmed after the fault{middle}, {result.early_alarms} alarms before it"
+        )
+
+
+def _show_golden(console: Console, name: str, result: Evaluation) -> None:
     counts, beyond = result.confusion(), _beyond(result)
     head = Table(title=f"{name}: {result.flights} golden flights", show_header=False)
     for label, value in (
@@ -56,11 +68,12 @@ def show(console: Console, name: str, result: Evaluation) -> None:
         ("false alarms", f"{result.alarms} in {result.flights_alarmed} flights"),
         ("false alarms a flight", f"{result.alarms_per_flight:.3f}"),
         ("false alarms an hour", f"{result.alarms_per_hour:.2f}"),
-        ("beyond the largest golden change", f"{beyond.found} of {beyond.flips} found ({_percent(beyond)})"),
+        (
+            "beyond the largest golden change",
+            f"{beyond.found} of {beyond.flips} found ({_percent(beyond)} %)",
+        ),
         ("sign and exponent flips", f"{counts['true_positive']} found, {counts['false_negative']} missed"),
         ("area under the ROC", f"{result.area():.4f}"),
-        ("injected flights", f"{result.injected}, {result.injected_sdc} with SDC"),
-        ("alarmed after the fault", f"{len(result.delays_s)}"),
     ):
         head.add_row(label, value)
     console.print(head)

@@ -63,7 +63,6 @@ class Gaussian(Scheme):
 
     name: ClassVar[str] = "gaussian"
     form: ClassVar[str] = "folded"
-    sigmas: ClassVar[float | None] = None
 
     def __init__(self, parameters: Parameters, *, learning: bool = True) -> None:
         expected = [name for names in MONITORED.values() for name in names]
@@ -115,7 +114,7 @@ class Gaussian(Scheme):
         for names in MONITORED.values():
             for name in names:
                 samples = np.concatenate([lesson[name] for lesson in lessons]).astype(np.float64)
-                states[name] = _fit(name, samples, cls.form, cls.sigmas)
+                states[name] = _fit(name, samples, cls.form)
         parameters = Parameters.model_validate({"form": cls.form, "states": states})
         return parameters.model_dump(mode="json")
 
@@ -139,7 +138,7 @@ class RawGaussian(Gaussian):
     form: ClassVar[str] = "raw"
 
 
-def _fit(name: str, samples: Floats, form: str, sigmas: float | None) -> dict[str, float]:
+def _fit(name: str, samples: Floats, form: str) -> dict[str, float]:
     if len(samples) < 2:
         message = f"{name}: {len(samples)} changes in all flights are too few to learn from"
         raise ValueError(message)
@@ -149,7 +148,7 @@ def _fit(name: str, samples: Floats, form: str, sigmas: float | None) -> dict[st
     # What never changed in training may change a little: a rounded number's variance is 1/12.
     squares = squares or (count - 1) / 12.0
     fitted = (largest + margin or MARGIN) / math.sqrt(squares / (count - 1))
-    return {"count": count, "mean": mean, "squares": squares, "sigmas": sigmas or fitted}
+    return {"count": count, "mean": mean, "squares": squares, "sigmas": fitted}
 
 
 def _table(stage: str, parameters: Parameters) -> Floats:

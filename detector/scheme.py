@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.series import Series
-from detector.watched import WATCHED
 
 Floats = NDArray[np.float64]
 Lesson = Mapping[str, NDArray[Any]]
@@ -77,8 +76,3 @@ class Scheme(ABC):
 
         :raises ValueError: if these are no parameters of this scheme (pydantic's error is one).
         """
-
-
-def column_name(stage: str, column: int) -> str:
-    """The state in a column."""
-    return WATCHED[stage][column]

@@ -5,11 +5,21 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from detector.lessons import load_lessons
 from detector.model import BadModelError, digest, read_model, to_json
-from detector.schemes import MODELS, UnknownSchemeError, load_detector, scheme, scheme_names, with_models
+from detector.schemes import (
+    MODELS,
+    UnknownSchemeError,
+    load_detector,
+    scheme,
+    scheme_names,
+    warm_up,
+    with_models,
+)
+from detector.watched import WATCHED, as_check
 
 LESSONS = Path(__file__).parent / "lessons"
 SHIPPED = ("autoencoder", "gaussian", "kinematic")
@@ -76,3 +86,16 @@ def test_bad_files_are_refused_in_one_line(name: str, tmp_path: Path) -> None:
 def test_an_unknown_scheme_is_told_with_those_that_are_there() -> None:
     with pytest.raises(UnknownSchemeError, match="gaussian"):
         scheme("oracle")
+
+
+def test_numbers_from_the_bus_become_a_check_or_are_refused() -> None:
+    warm_up()
+    width = len(WATCHED["control"])
+    numbers = np.frombuffer(np.arange(2.0 * width).tobytes())
+    check = as_check("control", numbers)
+    assert check.shape == (2, width)
+    assert all(load_detector(name).check("control", check) is not None for name in SHIPPED)
+    assert as_check("planning", np.empty(0)).shape == (0, len(WATCHED["planning"]))
+    for stage, size in (("control", width), ("control", 2 * width + 1), ("perception", 4), ("sim", 2)):
+        with pytest.raises(ValueError, match=stage):
+            as_check(stage, np.zeros(size))
