@@ -29,6 +29,7 @@ from dashboard.campaigns.local import Finished, fly_all
 from dashboard.campaigns.spec import CampaignSpec, load_campaign, runs
 from dashboard.campaigns.summary import summarise
 from dashboard.commands.bench import bench
+from dashboard.commands.fault import FORM, parse_fault
 from dashboard.commands.options import as_json
 from dashboard.commands.redundancy import redundancy
 from dashboard.commands.train import train
@@ -40,7 +41,7 @@ from deploy.forkserver import ForkServer, ForkServerError
 from deploy.pairing import NothingToInjectError, Pairs
 from deploy.supervisor import InfrastructureError
 from detector.errors import DetectionInputError
-from services.bus.mission import FaultSpec, MissionSpec
+from services.bus.mission import MissionSpec
 
 messages = Console(stderr=True)
 
@@ -57,10 +58,13 @@ def zenfi() -> None:
 
 
 @zenfi.command()
+@click.option("--mission", default="navigation", show_default=True, help="What to do; see docs/missions.md.")
 @click.option("--world", default="sparse", show_default=True, metavar="NAME|FILE.toml", help="Where to fly.")
 @click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
 @click.option("--airframe", default="airsim", show_default=True, metavar="NAME|FILE.toml", help="What flies.")
-@click.option("--planner", default="rrt_star", show_default=True, help="rrt, rrt_connect or rrt_star.")
+@click.option(
+    "--planner", default="rrt_star", show_default=True, help="rrt, rrt_connect, rrt_star or prm_star."
+)
 @click.option(
     "--platform",
     default="i9-9940x",
@@ -71,13 +75,13 @@ def zenfi() -> None:
 @click.option("--clock", default="lockstep", show_default=True, help="lockstep or realtime.")
 @click.option("--profile", default="fast", show_default=True, help="Set of parameters: fast or paper.")
 @click.option("--energy", default="airframe", show_default=True, help="airframe, regression or momentum.")
-@click.option("--fault", metavar="LEVEL:KERNEL", help="Flip one bit, e.g. instruction:rrt_star.")
+@click.option("--fault", metavar=FORM, help="Flip one bit, e.g. instruction:rrt_star,operand=source.")
 @click.option("--fault-seed", type=int, default=0, show_default=True, help="Seed of the fault.")
 @as_json
 def fly(fault: str | None, fault_seed: int, as_json: bool, **fields: Any) -> None:
     """Fly one mission; with --fault, its golden twin first."""
     if fault is not None:
-        fields["fault"] = _fault(fault, fault_seed)
+        fields["fault"] = parse_fault(fault, fault_seed)
     spec = MissionSpec.model_validate(inlined(fields))
     check(spec)
     server = ForkServer()
@@ -89,14 +93,6 @@ def fly(fault: str | None, fault_seed: int, as_json: bool, **fields: Any) -> Non
         click.echo(outcome.model_dump_json(by_alias=True))
     else:
         Console().print(tables.outcome(outcome))
-
-
-def _fault(text: str, seed: int) -> FaultSpec:
-    level, colon, target = text.partition(":")
-    if not colon:
-        message = f"--fault {text!r}: expected LEVEL:KERNEL, e.g. instruction:rrt_star"
-        raise BadSpecError(message)
-    return FaultSpec.model_validate({"level": level, "target": target, "seed": seed})
 
 
 zenfi.add_command(world)

@@ -8,7 +8,7 @@ from rich.table import Table
 
 from dashboard.campaigns.summary import ArmSummary
 from injector.preflight import Finding
-from services.bus.outcome import InjectionRecord, Outcome
+from services.bus.outcome import InjectionRecord, NodeReport, Outcome
 
 NODE_RESULTS = ("benign", "sdc", "crash", "hang")
 
@@ -33,22 +33,40 @@ def outcome(one: Outcome) -> Table:
     ):
         cells = [_number(getattr(qof, field), unit) for qof in (one.qof, golden) if qof is not None]
         table.add_row(label, *cells)
+    if one.qof.coverage is not None:
+        table.add_row("coverage", f"{one.qof.coverage:.0%}")
     table.add_row("wall time", f"{one.wall_s:.2f} s")
     for stage, report in one.nodes.items():
-        table.add_row(stage, report.result + (f" ({', '.join(report.causes)})" if report.causes else ""))
+        told = [*report.causes, *_counted(report)]
+        table.add_row(stage, report.result + (f" ({', '.join(told)})" if told else ""))
+    if one.refused_messages:
+        table.add_row("messages not recorded", str(one.refused_messages))
     if one.injection is not None:
         table.add_row("injection", _injection(one.injection))
     return table
 
 
+def _counted(report: NodeReport) -> list[str]:
+    counts = {
+        "malformed": report.malformed,
+        "outdated": report.outdated,
+        "alarms": report.alarms,
+        "recomputed": report.recomputed,
+    }
+    return [f"{count} {name}" for name, count in counts.items() if count]
+
+
 def _injection(record: InjectionRecord) -> str:
     if record.status != "injected":
         return f"{record.status}: {record.reason}"
-    return (
-        f"{record.kernel}: {record.instruction}\n"
-        f"{record.operand} {record.register_name} bit {', '.join(map(str, record.bits))}: "
-        f"{record.before} -> {record.after}"
-    )
+    where = f"{record.operand} {record.register_name or hex(record.address)}".strip()
+    change = f"bit {', '.join(map(str, record.bits))}: {record.before} -> {record.after}"
+    lines = [f"{record.kernel}: {record.instruction}", f"{record.model}: {where} {change}"]
+    if record.instruction_after:
+        lines.append(f"executed: {record.instruction_after}")
+    if record.held_instructions:
+        lines.append(f"held for {record.held_instructions} instructions")
+    return "\n".join([*lines, record.reason] if record.reason else lines)
 
 
 def _number(value: float, unit: str) -> str:

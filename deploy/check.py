@@ -7,10 +7,14 @@ from collections.abc import Iterable
 from pydantic import ValidationError
 
 from deploy.platform import load_platform
+from injector.architecture import AbsentError, require
 from injector.preflight import check as preflight
-from services.bus.mission import MissionSpec
-from services.kernels import KERNELS, PLANNERS
+from services.bus.mission import FaultSpec, MissionSpec
+from services.bus.source_fault import eligible
+from services.bus.states import GROUPS, STATES, members
+from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS
 from sim.airframe import airframe
+from sim.area import corners
 from sim.world import make_world
 
 
@@ -25,18 +29,41 @@ def check(spec: MissionSpec) -> None:
     """
     _known("planner", spec.planner, PLANNERS)
     try:
-        make_world(spec.world, spec.seed)
+        world = make_world(spec.world, spec.seed)
+        if spec.mission != "navigation":
+            corners(spec.area, world)
         airframe(spec.airframe)
         load_platform(spec.platform)
     except ValueError as error:
         raise BadSpecError(str(error)) from error
-    if spec.fault is None:
-        return
-    target = spec.fault.target
+    if spec.fault is not None and spec.fault.level == "source":
+        _check_source(spec.fault)
+    elif spec.fault is not None:
+        _check_instruction(spec.fault, spec)
+
+
+def _check_source(fault: FaultSpec) -> None:
+    _known("inter-kernel state", fault.target, [*STATES, *GROUPS])
+    for state in members(fault.target):
+        if not eligible(fault, state):
+            kind = f"{state.width_bits}-bit {'floating-point' if state.floating else 'integer'} number"
+            message = f"fault: {state.name} is a {kind}: it has no such bits"
+            raise BadSpecError(message)
+
+
+def _check_instruction(fault: FaultSpec, spec: MissionSpec) -> None:
+    target = fault.target
     _known("kernel", target, KERNELS)
     if target in PLANNERS and target != spec.planner:
         message = f"kernel {target!r} never runs with planner {spec.planner!r}: choose --planner {target}"
         raise BadSpecError(message)
+    if target in GOAL_KERNELS.values() and target != GOAL_KERNELS.get(spec.mission):
+        message = f"kernel {target!r} never runs in mission {spec.mission!r}"
+        raise BadSpecError(message)
+    try:
+        require(fault)
+    except AbsentError as error:
+        raise BadSpecError(str(error)) from error
     for finding in preflight():
         if not finding.ok:
             message = f"cannot inject: {finding.name}: {finding.remedy}"

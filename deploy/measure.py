@@ -20,23 +20,28 @@ _MOST_JITTER = 0.95
 
 
 def measure(server: ForkServer, flights: int) -> PlatformDefinition:
-    """Fly golden flights in Dense with each planner; mean and deviation of each kernel's thread time.
+    """Fly golden flights in Dense with each planner, and of each mission that has a kernel of its own;
+    mean and deviation of each kernel's thread time.
 
     :raises InfrastructureError: if a kernel never ran.
     """
     uses: dict[str, list[KernelUse]] = defaultdict(list)
-    for planner in PLANNERS:
+    asked = [{"planner": planner} for planner in PLANNERS]
+    asked += [{"mission": mission} for mission in ("scanning", "mapping")]  # the kernels that choose goals
+    for fields in asked:
         for seed in range(flights):
-            outcome = fly(MissionSpec(world="dense", planner=planner, seed=seed), server).outcome
+            spec = MissionSpec.model_validate({"world": "dense", "seed": seed, **fields})
+            outcome = fly(spec, server).outcome
             for report in outcome.nodes.values():
                 for kernel, use in report.kernels.items():
                     uses[kernel].append(use)
     missing = [kernel for kernel in KERNELS if not uses[kernel]]
     if missing:
-        message = f"{', '.join(missing)} never ran in {flights} flights per planner"
+        message = f"{', '.join(missing)} never ran in {flights} flights per planner and mission"
         raise InfrastructureError(message)
     source = (
-        f"Measured on this {machine.machine()} machine: thread time, flights per planner in Dense: {flights}."
+        f"Measured on this {machine.machine()} machine: thread time,"
+        f" flights per planner and mission in Dense: {flights}."
     )
     return PlatformDefinition(
         name="host", source=source, kernels={kernel: latency(uses[kernel]) for kernel in KERNELS}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import queue
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +19,7 @@ from deploy.supervisor import InfrastructureError, Member, Supervisor
 from services.bus import session
 from services.bus.clock import FlightClock
 from services.bus.horizon import NEVER_NS, Stamped
-from services.bus.messages import Horizon, decode, encode
+from services.bus.messages import Horizon, MalformedMessageError, decode, encode
 from services.bus.mission import MissionSpec
 from services.bus.node import LIFE_SHIFT, NodeSetup
 from services.bus.outcome import (
@@ -32,7 +32,7 @@ from services.bus.outcome import (
     QoF,
 )
 from services.bus.topics import HORIZON_TYPE, RECORDED, STAGES, TOPICS
-from services.kernels import KERNELS
+from services.kernels import KERNELS, aimed_at
 
 LOOK_S = 0.02
 """Wall time between two looks at the processes while no message comes."""
@@ -50,27 +50,27 @@ class LostMessageError(InfrastructureError):
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """An outcome with the trace that a golden twin is compared by, and the messages that were asked for."""
+    """An outcome with the trace that a golden twin is compared by, and the messages if they were kept."""
 
     outcome: Outcome
     trace: Trace
-    messages: Mapping[str, list[Stamped]]
+    messages: Mapping[str, Sequence[Stamped]] | None = None
 
 
-def fly(spec: MissionSpec, server: ForkServer, keep: Collection[str] = ()) -> Flight:
+def fly(spec: MissionSpec, server: ForkServer, *, keep_messages: bool = False) -> Flight:
     """Fly one mission on a fork server; a pure function of ``spec`` as far as virtual time goes.
 
-    ``keep`` are the topics whose messages the flight is to hold: all would be megabytes.
+    ``keep_messages`` gives the caller every recorded message up to the end of the mission, by topic.
 
     :raises InfrastructureError: if we failed. A crashed vehicle or node returns normally.
     """
     attempts = 3
     for _ in range(attempts - 1):
         try:
-            return _Mission(spec, server).fly(keep)
+            return _Mission(spec, server).fly(keep_messages=keep_messages)
         except LostMessageError:
             continue
-    return _Mission(spec, server).fly(keep)
+    return _Mission(spec, server).fly(keep_messages=keep_messages)
 
 
 class _Mission:
@@ -87,7 +87,7 @@ class _Mission:
         self._end_ns = NEVER_NS
         self._last_word = 0.0
 
-    def fly(self, keep: Collection[str]) -> Flight:
+    def fly(self, *, keep_messages: bool) -> Flight:
         begin = time.monotonic()
         with mission_folder() as folder:
             meeting = session.Meeting(folder, f"zenfi/{folder.name}")
@@ -101,8 +101,10 @@ class _Mission:
                     self._until_ended()
                     self._supervisor.end(GRACE_S, lambda: self._take_in(0.001))
                     trace = self._recorder.trace(self._end_ns)
-                    messages = {topic: self._recorder.until(topic, self._end_ns) for topic in keep}
-                    return Flight(self._outcome(trace, time.monotonic() - begin), trace, messages)
+                    outcome = self._outcome(trace, time.monotonic() - begin)
+                    return Flight(
+                        outcome, trace, self._recorder.until(self._end_ns) if keep_messages else None
+                    )
                 finally:
                     self._supervisor.close()
 
@@ -130,7 +132,10 @@ class _Mission:
     def _recording(self, topic: str) -> Callable[[Any], None]:
         def handle(sample: zenoh.Sample) -> None:
             self._last_word = time.monotonic()
-            self._recorder.record(topic, session.stamped(sample))
+            try:
+                self._recorder.record(topic, session.stamped(sample))
+            except MalformedMessageError:
+                self._recorder.malformed += 1
 
         return handle
 
@@ -163,9 +168,9 @@ class _Mission:
                 )
 
     def _start_all(self) -> None:
-        processes = [
-            one for one in self._server.stack.values() if self._spec.fault is not None or not one.with_fault
-        ]
+        fault = self._spec.fault
+        injector_needed = fault is not None and fault.level == "instruction"
+        processes = [one for one in self._server.stack.values() if injector_needed or not one.with_fault]
         self._expected = [process.name for process in processes]
         self._latencies = load_platform(self._spec.platform).kernels
         for process in processes:
@@ -226,7 +231,7 @@ class _Mission:
             )
             message = f"nobody said anything for {STALL_S:.0f} s ({tails})"
             raise InfrastructureError(message)
-        self._supervisor.kill_as_hung(self._supervisor.members[KERNELS[self._spec.fault.target].stage])
+        self._supervisor.kill_as_hung(self._supervisor.members[aimed_at(self._spec.fault)])
 
     # -- dying -------------------------------------------------------------------------------------
 
@@ -310,13 +315,14 @@ class _Mission:
         assert self._result is not None  # noqa: S101 - the loop ends with a result
         fault, injection = self._spec.fault, self._injection
         if fault is not None and injection is None:
-            kernel = KERNELS[fault.target]
             injection = InjectionRecord(
                 status="not_reached",
-                reason="the flight ended before the kernel was called that often",
-                node=kernel.stage,
-                kernel=kernel.name,
+                reason="the flight ended before that call or message",
+                node=aimed_at(fault),
+                kernel=fault.target if fault.level == "instruction" else "",
                 invocation=fault.trigger.invocation if fault.trigger is not None else 0,
+                model=fault.model,
+                scope=fault.scope,
             )
         return Outcome(
             spec=self._spec,
@@ -328,6 +334,7 @@ class _Mission:
             nodes=self._reports(),
             topics={topic.name: trace.report(topic.name, None) for topic in RECORDED},
             injection=injection,
+            refused_messages=self._recorder.refused,
             recovered_messages=sum(
                 int(m.vitals.page["recovered"]) for m in self._supervisor.members.values()
             ),

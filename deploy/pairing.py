@@ -13,6 +13,7 @@ from deploy.mission import Flight, fly
 from services.bus import rng
 from services.bus.mission import FaultSpec, MissionSpec, Trigger
 from services.bus.outcome import GoldenTwin, NodeReport, Outcome
+from services.bus.states import members
 from services.bus.topics import RECORDED, published_by
 from services.kernels import KERNELS
 
@@ -53,18 +54,25 @@ class Pairs:
 
 
 def draw_trigger(fault: FaultSpec, golden: Outcome) -> Trigger:
-    """Draw when the fault strikes: a call of the kernel, and a moment of thread time within it.
+    """Draw when the fault strikes: a call of the kernel, and a moment of thread time within it; or a
+    message that carries the state, uniform over those of the golden twin.
 
     The call is uniform over the golden twin's calls. The moment is uniform over the mean thread time
     of a call, which differs a little from machine to machine: the record says ``cpu_time``.
 
     :raises NothingToInjectError: if the golden twin never ran the kernel.
     """
+    draw = rng.generator(golden.spec.seed, f"trigger {fault.target}", fault.seed)
+    if fault.level == "source":
+        messages = golden.topics[members(fault.target)[0].topic].messages
+        if not messages:
+            message = f"the golden flight never publishes {fault.target}: nothing to inject into"
+            raise NothingToInjectError(message)
+        return Trigger(invocation=int(draw.integers(messages)), cpu_ns=0)
     use = golden.nodes[KERNELS[fault.target].stage].kernels.get(fault.target)
     if use is None:
         message = f"the golden flight never runs {fault.target}: nothing to inject into"
         raise NothingToInjectError(message)
-    draw = rng.generator(golden.spec.seed, f"trigger {fault.target}", fault.seed)
     invocation = int(draw.integers(use.invocations))
     return Trigger(invocation=invocation, cpu_ns=int(draw.random() * use.cpu_ns / use.invocations))
 

@@ -7,9 +7,10 @@ import hashlib
 from dataclasses import dataclass, field
 
 from services.bus.horizon import NEVER_NS, Channel, Stamped
-from services.bus.messages import decode
+from services.bus.messages import MalformedMessageError
 from services.bus.outcome import TopicReport
-from services.bus.topics import HORIZON_TYPE, RECORDED, STAGES, published_by
+from services.bus.ports import promise_of
+from services.bus.topics import RECORDED, STAGES, published_by
 
 DIGEST_BYTES = 16
 
@@ -37,6 +38,8 @@ class Trace:
         """Over every recorded message of the flight."""
         whole = hashlib.blake2b(digest_size=DIGEST_BYTES)
         for topic, digests in self.digests.items():
+            if not digests:
+                continue  # a topic that the mission has no use for
             whole.update(topic.encode())
             whole.update(b"".join(digests))
         return whole.hexdigest()
@@ -64,6 +67,7 @@ class Recorder:
         self._history: dict[str, list[Stamped]] = {topic.name: [] for topic in RECORDED}
         self._horizons: dict[str, bytes] = {}
         self._serials: dict[str, int] = dict.fromkeys(STAGES, -1)
+        self.malformed = 0
 
     def record(self, topic: str, message: Stamped) -> None:
         """Take in a message of a recorded topic."""
@@ -71,9 +75,18 @@ class Recorder:
         channel.receive(message)
         self._history[topic].extend(channel.take(NEVER_NS, inclusive=True))
 
+    @property
+    def refused(self) -> int:
+        """How many messages and promises could not be kept: malformed, or of an old sequence number."""
+        return self.malformed + sum(channel.duplicates for channel in self._channels.values())
+
     def hear(self, stage: str, payload: bytes) -> None:
         """Take in a stage's promise."""
-        message = decode(payload, HORIZON_TYPE)
+        try:
+            message = promise_of(stage, payload)
+        except MalformedMessageError:
+            self.malformed += 1
+            return
         if message.serial > self._serials[stage]:
             self._serials[stage] = int(message.serial)
             self._horizons[stage] = payload
@@ -116,15 +129,17 @@ class Recorder:
         """Whether everything up to and including ``end_ns`` is recorded."""
         return all(channel.horizon_ns > end_ns for channel in self._channels.values())
 
-    def until(self, topic: str, end_ns: int) -> list[Stamped]:
-        """The messages of a topic that were ready up to and including ``end_ns``."""
-        return [message for message in self._history[topic] if message.ready_ns <= end_ns]
+    def until(self, end_ns: int) -> dict[str, list[Stamped]]:
+        """The messages that were ready up to and including ``end_ns``, by topic."""
+        return {
+            topic: [message for message in history if message.ready_ns <= end_ns]
+            for topic, history in self._history.items()
+        }
 
     def trace(self, end_ns: int) -> Trace:
         """Times and digests of what was ready up to and including ``end_ns``."""
         trace = Trace()
-        for topic in self._history:
-            kept = self.until(topic, end_ns)
+        for topic, kept in self.until(end_ns).items():
             trace.times_ns[topic] = [message.ready_ns for message in kept]
             trace.digests[topic] = [_digest(message) for message in kept]
         return trace

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -12,15 +13,12 @@ from deploy.mission import Flight, fly
 from deploy.pairing import compare, draw_trigger
 from detector.series import Checks, Series
 from detector.watched import WATCHED
-from services.bus.arrays import Floats, plan, state, verdict
+from services.bus.arrays import POINT_FIELDS, Floats, plan, state, verdict
 from services.bus.horizon import Stamped
-from services.bus.messages import decode
+from services.bus.messages import MalformedMessageError, decode
 from services.bus.mission import MissionSpec
 from services.bus.topics import TICK_NS, TOPICS
 from services.control.follower import Follower, waypoints
-
-TOPICS_WATCHED = ("odometry", "collision_check", "trajectory", "command")
-"""What :func:`deploy.mission.fly` has to keep for :func:`series`."""
 
 
 def record(spec: MissionSpec, server: ForkServer) -> Series:
@@ -29,23 +27,24 @@ def record(spec: MissionSpec, server: ForkServer) -> Series:
     :raises NothingToInjectError: if the twin never runs the fault's kernel.
     """
     if spec.fault is None:
-        return series(spec, fly(spec, server, TOPICS_WATCHED))
+        return series(spec, fly(spec, server, keep_messages=True))
     twin = fly(spec.model_copy(update={"fault": None}), server)
     fault = spec.fault.model_copy(update={"trigger": draw_trigger(spec.fault, twin.outcome)})
-    flight = fly(spec.model_copy(update={"fault": fault}), server, TOPICS_WATCHED)
+    flight = fly(spec.model_copy(update={"fault": fault}), server, keep_messages=True)
     made = series(spec, flight)
     nodes = compare(flight, twin).nodes.values()
     return Series(made.checks, {**made.about, "sdc": any(node.result == "sdc" for node in nodes)})
 
 
 def series(spec: MissionSpec, flight: Flight) -> Series:
-    """The checks of the mission ``spec``, flown with ``keep=TOPICS_WATCHED``.
+    """The checks of the mission ``spec``, flown with its messages kept.
 
     Perception and planning are asked for what they published. Control also for the waypoint that it
     tracked, which is on no topic: its follower is run again over what it had received. Its ticks after a
     restart are not told apart, so a flight in which control died is watched as if it had lived on.
     """
     messages, outcome = flight.messages, flight.outcome
+    assert messages is not None  # noqa: S101 - asked for by the caller
     about = {
         "spec": spec.model_dump(mode="json"),
         "result": outcome.result,
@@ -62,32 +61,28 @@ def series(spec: MissionSpec, flight: Flight) -> Series:
     return Series(checks, about)
 
 
-def _perception(found: list[Stamped]) -> Checks:
-    verdicts = [verdict(_read("collision_check", one)) for one in found]
+def _perception(found: Sequence[Stamped]) -> Checks:
+    messages = [_read("collision_check", one) for one in found]
     values = np.array(
-        [(one.time_to_collision_s, one.future_collision_seq) for one in verdicts], dtype=np.float64
+        [(one.time_to_collision, one.future_collision_seq) for one in messages], dtype=np.float64
     )
     return Checks(values.reshape(-1, len(WATCHED["perception"])), np.arange(len(found)), _times(found))
 
 
-def _planning(made: list[Stamped]) -> Checks:
-    plans = [plan(_read("trajectory", one)) for one in made]
-    rows = [
-        np.column_stack(
-            (
-                one.points[:, :11],
-                np.full(len(one.points), float(one.trajectory_seq)),
-                np.full(len(one.points), float(one.future_collision_seq)),
-            )
-        )
-        for one in plans
-    ]
+def _planning(made: Sequence[Stamped]) -> Checks:
+    """Rows as they were published: what a fault did to them, too, though the others may refuse it."""
+    rows = []
+    for one in made:
+        message = _read("trajectory", one)
+        points = message.points.reshape(-1, POINT_FIELDS)[:, :11]
+        counts = (float(message.trajectory_seq), float(message.future_collision_seq))
+        rows.append(np.hstack((points, np.tile(counts, (len(points), 1)))))
     lengths = np.array([len(one) for one in rows], dtype=np.int64)
     values = np.concatenate([np.empty((0, len(WATCHED["planning"]))), *rows])
     return Checks(values, np.cumsum(lengths) - lengths, _times(made))
 
 
-def _control(messages: Mapping[str, list[Stamped]]) -> Checks:
+def _control(messages: Mapping[str, Sequence[Stamped]]) -> Checks:
     """Run the follower again; control takes up each odometry message unless it is still busy."""
     follower, rows, times = Follower(), [], []
     checks, plans = iter(messages["collision_check"]), iter(messages["trajectory"])
@@ -98,10 +93,12 @@ def _control(messages: Mapping[str, list[Stamped]]) -> Checks:
         command = _read("command", sent)
         tick = sent.ready_ns // TICK_NS * TICK_NS
         while check is not None and check.ready_ns <= tick:
-            follower.take_verdict(*verdict(_read("collision_check", check)))
+            with suppress(MalformedMessageError):
+                follower.take_verdict(*verdict(_read("collision_check", check)))
             check = next(checks, None)
         while made is not None and made.ready_ns <= tick:
-            follower.take_trajectory(*plan(_read("trajectory", made))[:3])
+            with suppress(MalformedMessageError):
+                follower.take_trajectory(*plan(_read("trajectory", made))[:3])
             made = next(plans, None)
         here = state(_read("odometry", odometry[tick]))
         curve = follower.curve(tick / 1e9, here.position, here.velocity, here.yaw)
@@ -115,7 +112,7 @@ def _control(messages: Mapping[str, list[Stamped]]) -> Checks:
     return Checks(values, 2 * np.arange(len(rows)), np.array(times))
 
 
-def _times(messages: list[Stamped]) -> Floats:
+def _times(messages: Sequence[Stamped]) -> Floats:
     return np.array([one.ready_ns / 1e9 for one in messages])
 
 

@@ -1,44 +1,78 @@
-"""The act: one bit of one register of one instruction."""
+"""Where a thread stands, what it executes next, and what comes of an attempt to corrupt it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
-import numpy as np
-
-from injector.decode import Candidate, DecodeError, Instruction, decode
+from injector.architecture import HOST, decode
+from injector.decode import DecodeError, Instruction, Role
 from injector.freeze import Thread, Tracees
 from injector.process import CodeError, Process
 from injector.ptrace import GoneError
 from injector.registers import Registers
-from injector.x86_64 import X8664Registers
-from services.bus.mission import FaultSpec
-
-SITES = 1000
-"""Instructions without an eligible register that are passed over before we give up."""
 
 
 @dataclass(frozen=True, slots=True)
 class Strike:
-    """What came of an attempt. Values are those of the lowest ``width_bits`` of the register.
+    """What came of an attempt. Values and ``bits`` are those of the ``width_bits`` that were struck.
 
-    ``not_activated``: no instruction offered an eligible register. ``failed``: see ``reason``.
+    ``register`` is empty where memory (at ``address``) or the instruction itself was struck.
+    ``not_activated``: nothing was changed. ``failed``: see ``reason``, which also tells where an injected
+    fault was cut short.
     """
 
     status: Literal["injected", "not_activated", "not_reached", "failed"]
     reason: str = ""
     instruction: Instruction | None = None
-    candidate: Candidate | None = None
-    bit: int = 0
+    operand: Role | Literal[""] = ""
+    register: str = ""
+    address: int = 0
+    width_bits: int = 0
+    element_bits: int = 0
+    bits: tuple[int, ...] = ()
     before: int = 0
     after: int = 0
     read_back: int = 0
+    instruction_after: str = ""
+    held_instructions: int = 0
     passed_over: int = 0
+
+    def described(self) -> dict[str, Any]:
+        """The fields of an :class:`services.bus.outcome.InjectionRecord` that tell what was struck."""
+        told: dict[str, Any] = {"status": self.status, "reason": self.reason, "resampled": self.passed_over}
+        if self.instruction is not None:
+            told |= {"instruction_bytes": self.instruction.code.hex(), "instruction": self.instruction.text}
+        if not self.bits:
+            return told
+        for name in ("operand", "address", "width_bits", "element_bits"):
+            told[name] = getattr(self, name)
+        told |= {"register_name": self.register, "bits": list(self.bits)}
+        told |= {"instruction_after": self.instruction_after, "held_instructions": self.held_instructions}
+        digits = -(-self.width_bits // 4)
+        return told | {name: f"{getattr(self, name):0{digits}x}" for name in ("before", "after", "read_back")}
 
 
 class TargetError(Exception):
     """The target died or went wrong by itself, before the fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """A thread that stands before an instruction, all others standing too."""
+
+    tracees: Tracees = field(repr=False)
+    thread: Thread
+    process: Process = field(repr=False)
+    registers: Registers
+    instruction: Instruction
+
+    def execute(self) -> None:
+        """Let the thread execute it.
+
+        :raises TargetError: if it does not come through.
+        """
+        step(self.tracees, self.thread, self.instruction)
 
 
 def registers_of(thread: Thread) -> Registers:
@@ -46,7 +80,7 @@ def registers_of(thread: Thread) -> Registers:
 
     :raises GoneError: if the thread has been killed.
     """
-    return X8664Registers(thread.tid)
+    return HOST.registers(thread.tid)
 
 
 def stand(thread: Thread, process: Process) -> tuple[Registers, Instruction]:
@@ -75,61 +109,3 @@ def step(tracees: Tracees, thread: Thread, instruction: Instruction) -> None:
         what = "was killed in" if end == "gone" else "did not come back from"
         message = f"the thread {what} {instruction.text}"
         raise TargetError(message)
-
-
-def strike(
-    tracees: Tracees, thread: Thread, process: Process, fault: FaultSpec, draw: np.random.Generator
-) -> Strike | None:
-    """Flip one bit of a standing thread, at its next instruction that has an eligible register.
-
-    The pair of register and role is drawn uniformly from those that are eligible, then the bit from
-    those that the instruction accesses. A source is flipped before the instruction, a destination after
-    it (after one iteration, if it repeats).
-
-    None: the thread is in a system call or about to enter one (or to show the program that it is being
-    stepped). That is no user instruction; the thread must run on first.
-    """
-    passed_over = 0
-    try:
-        while passed_over < SITES:
-            registers, instruction = stand(thread, process)
-            if registers.in_system_call or not instruction.steppable:
-                return None
-            eligible = instruction.eligible(fault.operand, fault.register_class)
-            if eligible:
-                candidate = eligible[int(draw.integers(len(eligible)))]
-                bit = int(draw.integers(candidate.width_bits))
-                if candidate.role == "destination":
-                    step(tracees, thread, instruction)
-                return replace(flip(thread, instruction, candidate, bit), passed_over=passed_over)
-            step(tracees, thread, instruction)
-            passed_over += 1
-    except (TargetError, GoneError) as error:
-        return Strike("failed", f"before the fault: {error}", passed_over=passed_over)
-    reason = f"no eligible register in {SITES} consecutive instructions"
-    return Strike("not_activated", reason, passed_over=passed_over)
-
-
-def flip(thread: Thread, instruction: Instruction, candidate: Candidate, bit: int) -> Strike:
-    """Flip one bit of a standing thread's register and read it back.
-
-    :raises GoneError: if the thread has been killed.
-    """
-    accessed = (1 << candidate.width_bits) - 1
-    registers = registers_of(thread)
-    before = registers.get(candidate.register)
-    after = before ^ 1 << bit
-    registers.put(candidate.register, after)
-    registers.commit()
-    read_back = registers_of(thread).get(candidate.register)
-    taken = read_back == after
-    return Strike(
-        "injected" if taken else "failed",
-        "" if taken else f"the kernel did not take the change of {candidate.register}",
-        instruction,
-        candidate,
-        bit,
-        before & accessed,
-        after & accessed,
-        read_back & accessed,
-    )

@@ -6,6 +6,7 @@ import mmap
 import os
 import select
 from bisect import bisect_right
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -25,6 +26,10 @@ class VanishedError(IdentityError):
 
 class CodeError(Exception):
     """There is no code to read at an address."""
+
+
+class AddressError(Exception):
+    """Memory at an address cannot be read or written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +72,17 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Mapping:
-    """A piece of a process's memory; ``path`` is empty where no file is behind it."""
+    """A piece of a process's memory; ``path`` is empty where no file is behind it.
+
+    ``permissions`` are as in /proc/PID/maps; ``name`` is the path or the kernel's name for it (``[vdso]``).
+    """
 
     start: int
     end: int
     offset: int
     path: str
+    permissions: str
+    name: str
 
 
 class Maps:
@@ -86,12 +96,19 @@ class Maps:
         index = bisect_right(self._lines, address, key=lambda line: int(line.partition("-")[0], 16)) - 1
         if index < 0:
             return None
-        extent, _, offset, _, _, *path = self._lines[index].split(maxsplit=5)
-        start, end = (int(bound, 16) for bound in extent.split("-"))
-        if address >= end:
-            return None
-        name = path[0] if path and path[0].startswith("/") else ""
-        return Mapping(start, end, int(offset, 16), name)
+        mapping = _mapping(self._lines[index])
+        return mapping if address < mapping.end else None
+
+    def code(self) -> Iterator[Mapping]:
+        """The pieces that may be executed."""
+        return (_mapping(line) for line in self._lines if "x" in line.split(maxsplit=2)[1])
+
+
+def _mapping(line: str) -> Mapping:
+    extent, permissions, offset, _, _, *named = line.split(maxsplit=5)
+    start, end = (int(bound, 16) for bound in extent.split("-"))
+    name = named[0] if named else ""
+    return Mapping(start, end, int(offset, 16), name if name.startswith("/") else "", permissions, name)
 
 
 class Process:
@@ -157,12 +174,42 @@ class Process:
             mapping = self.maps().at(address)
             size = min(size, mapping.end - address) if mapping is not None else size
         try:
-            if self._memory is None:
-                self._memory = os.open(f"/proc/{self.pid}/mem", os.O_RDONLY | os.O_CLOEXEC)
-            return os.pread(self._memory, size, address)
+            return os.pread(self._mem(), size, address)
         except (OSError, OverflowError) as error:
             message = f"process {self.pid} has no code at {address:#x}"
             raise CodeError(message) from error
+
+    def read_memory(self, address: int, size: int) -> bytes:
+        """``size`` bytes of its memory.
+
+        :raises AddressError: if they are not all there.
+        """
+        try:
+            content = os.pread(self._mem(), size, address)
+        except (OSError, OverflowError):
+            content = b""
+        if len(content) < size:
+            message = f"process {self.pid} has no memory at {address:#x}"
+            raise AddressError(message)
+        return content
+
+    def write_memory(self, address: int, content: bytes) -> None:
+        """Change its memory, read-only pages too: of a private mapping, nobody else sees it.
+
+        :raises AddressError: if it cannot be written.
+        """
+        try:
+            written = os.pwrite(self._mem(), content, address)
+        except (OSError, OverflowError):
+            written = 0
+        if written < len(content):
+            message = f"the memory of process {self.pid} at {address:#x} cannot be written"
+            raise AddressError(message)
+
+    def _mem(self) -> int:
+        if self._memory is None:
+            self._memory = os.open(f"/proc/{self.pid}/mem", os.O_RDWR | os.O_CLOEXEC)
+        return self._memory
 
     def close(self) -> None:
         """Let go of the process."""

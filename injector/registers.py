@@ -1,6 +1,6 @@
 """What the injector asks of a register file, whatever the architecture.
 
-:mod:`injector.x86_64` implements it; another architecture goes beside it.
+:mod:`injector.x86_64` and :mod:`injector.aarch64` implement it; :mod:`injector.architecture` chooses.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ class Registers(ABC):
     """The user registers of a standing thread: a copy, which :meth:`commit` writes back.
 
     Registers go by the names that disassembly shows (``rax``, ``eax``, ``ah``, ``ymm3``). Values are
-    unsigned; bit 0 is the least significant bit of the named register.
+    unsigned; bit 0 is the least significant bit of the named register. Status flags are bits of one
+    register (``rflags``, ``nzcv``), whose other bits read as zero and cannot be changed.
     """
 
     @property

@@ -11,9 +11,10 @@ import numpy as np
 
 from injector.elf import place
 from injector.freeze import Thread, Tracees
-from injector.inject import Strike, TargetError, stand, step, strike
+from injector.inject import Strike, TargetError, stand, step
 from injector.process import Identity, IdentityError, Maps, Process, VanishedError
 from injector.ptrace import GoneError, wait_until
+from injector.strike import strike
 from injector.trigger import ThreadTimer, await_trap
 from services.bus.announce import Announcement
 from services.bus.mission import FaultSpec
@@ -171,46 +172,26 @@ def _jitter(tracees: Tracees, thread: Thread, target: Process, steps: int) -> No
 def _record(call: Call, fault: FaultSpec, tracees: Tracees, found: Strike, maps: Maps) -> InjectionRecord:
     record = InjectionRecord(
         status=found.status,
-        reason=found.reason,
         mode="cpu_time",
         node=call.target.name,
         kernel=fault.target,
         invocation=fault.trigger.invocation if fault.trigger is not None else 0,
+        model=fault.model,
+        scope=fault.scope,
         pid=call.target.pid,
         tid=call.target.tid,
         virtual_time_ns=call.virtual_time_ns,
         pause_us=tracees.pause_us,
         threads_stopped=tracees.threads_stopped,
-        resampled=found.passed_over,
-    )
-    if found.instruction is not None:
-        where = place(call.target.pid, maps, found.instruction.address)
-        record = record.model_copy(
-            update={
-                "module": where.module,
-                "build_id": where.build_id,
-                "offset": where.offset,
-                "symbol": where.symbol,
-                "instruction_bytes": found.instruction.code.hex(),
-                "instruction": found.instruction.text,
-            }
-        )
-    if found.candidate is None:
+    ).model_copy(update=found.described())
+    if found.instruction is None:
         return record
-    width = found.candidate.width_bits
+    where = place(call.target.pid, maps, found.instruction.address)
     return record.model_copy(
         update={
-            "operand": found.candidate.role,
-            "register_name": found.candidate.register,
-            "width_bits": width,
-            "bits": [found.bit],
-            **{
-                name: f"{value:0{width // 4}x}"
-                for name, value in (
-                    ("before", found.before),
-                    ("after", found.after),
-                    ("read_back", found.read_back),
-                )
-            },
+            "module": where.module,
+            "build_id": where.build_id,
+            "offset": where.offset,
+            "symbol": where.symbol,
         }
     )

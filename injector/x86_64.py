@@ -1,4 +1,4 @@
-"""The registers of an x86-64 thread: general ones with their parts, and xmm, ymm and zmm.
+"""The registers of an x86-64 thread: general ones with their parts, status flags, vectors and masks.
 
 Source: Linux arch/x86/include/asm/user_64.h (struct user_regs_struct).
 """
@@ -9,6 +9,7 @@ import struct
 from dataclasses import dataclass
 
 from injector import xstate
+from injector.decode import RegisterClass
 from injector.ptrace import NT_PRSTATUS, NT_X86_XSTATE, PtraceError, read_registers, write_registers
 from injector.registers import Registers, UnknownRegisterError
 
@@ -66,6 +67,22 @@ VECTOR = {
 }
 """Number and size in bytes of every vector register by name; a machine may have fewer."""
 
+MASK = {f"k{number}": number for number in range(8)}
+"""Number of every mask register by name; a machine may have none."""
+
+STATUS_FLAGS = (0, 2, 4, 6, 7, 10, 11)
+"""The bits of rflags that are offered: CF, PF, AF, ZF, SF, DF and OF. The others are not the program's."""
+
+_STATUS = sum(1 << bit for bit in STATUS_FLAGS)
+_BASES = ("fs_base", "gs_base")
+
+
+def register_classes(enabled: int | None = None) -> frozenset[RegisterClass]:
+    """The classes that a processor has; by default this one, else one with these state components."""
+    components = xstate.enabled() if enabled is None else enabled
+    classes: set[RegisterClass] = {"gpr", "vector", "flags"}
+    return frozenset(classes | {"mask"} if components >> xstate.OPMASK & 1 else classes)
+
 
 class X8664Registers(Registers):
     """The registers of a standing x86-64 thread."""
@@ -103,15 +120,19 @@ class X8664Registers(Registers):
         part = GENERAL.get(name)
         if part is not None:
             return self._word(part.whole) >> part.shift & (1 << part.width) - 1
+        if name == "rflags":
+            return self._word("eflags") & _STATUS
+        if name in _BASES:
+            return self._word(name)
         state = self._state()
         content = b"".join(state[piece.offset : piece.offset + piece.size] for piece in self._pieces(name))
         return int.from_bytes(content, "little")
 
     def put(self, name: str, value: int) -> None:
         """Change a register and nothing else."""
-        part = GENERAL.get(name)
+        part = Part("eflags", 0, 64) if name == "rflags" else GENERAL.get(name)
         if part is not None:
-            field = (1 << part.width) - 1 << part.shift
+            field = _STATUS if name == "rflags" else (1 << part.width) - 1 << part.shift
             word = self._word(part.whole) & ~field | value << part.shift & field
             struct.pack_into("<Q", self._general, _OFFSETS[part.whole], word)
             self._general_changed = True
@@ -143,12 +164,11 @@ class X8664Registers(Registers):
         return self._extended
 
     def _pieces(self, name: str) -> list[xstate.Piece]:
-        found = VECTOR.get(name)
-        if found is not None:
+        if name in VECTOR or name in MASK:
             state = self._state()
             enabled = int.from_bytes(state[xstate.ENABLED_AT : xstate.ENABLED_AT + 8], "little")
-            pieces = list(xstate.pieces(*found))
-            if all(enabled >> piece.component & 1 for piece in pieces):
-                return pieces
+            wanted = list(xstate.pieces(*VECTOR[name]) if name in VECTOR else [xstate.mask_piece(MASK[name])])
+            if all(enabled >> piece.component & 1 for piece in wanted):
+                return wanted
         message = f"thread {self._tid} has no register {name!r}"
         raise UnknownRegisterError(message)

@@ -1,4 +1,4 @@
-"""Where the vector registers lie in XSAVE's standard format, which ptrace uses.
+"""Where the vector and mask registers lie in XSAVE's standard format, which ptrace uses.
 
 Offsets differ between makers (AMD has no MPX, so its AVX-512 state lies lower), so the processor is
 asked: CPUID leaf 0xD. Source: Intel SDM volume 1, chapter 13; Linux Documentation/arch/x86/xstate.rst.
@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 
-SSE, AVX, ZMM_HIGH, HIGH_ZMM = 1, 2, 6, 7
-"""State components: xmm0-15, upper halves of ymm0-15, of zmm0-15, and zmm16-31 whole."""
+SSE, AVX, OPMASK, ZMM_HIGH, HIGH_ZMM = 1, 2, 5, 6, 7
+"""State components: xmm0-15, upper halves of ymm0-15, k0-7, upper halves of zmm0-15, zmm16-31 whole."""
 
 ENABLED_AT, XSTATE_BV_AT = 464, 512
 """Offsets of XCR0 (put there by the kernel) and of the mask of components that are not in initial state."""
@@ -36,11 +36,19 @@ _CPUID_CODE = bytes.fromhex(
     "5b"  # pop rbx
     "c3"  # ret
 )
+_XGETBV_CODE = bytes.fromhex(
+    "31c9"  # xor ecx, ecx
+    "0f01d0"  # xgetbv
+    "48c1e220"  # shl rdx, 32
+    "4809d0"  # or rax, rdx
+    "c3"  # ret
+)
+_OSXSAVE = 1 << 27
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Consecutive bytes of a vector register in the buffer."""
+    """Consecutive bytes of a register in the buffer."""
 
     component: int
     offset: int
@@ -48,17 +56,30 @@ class Piece:
 
 
 def cpuid(leaf: int, subleaf: int) -> tuple[int, int, int, int]:
-    """eax, ebx, ecx and edx of CPUID, run as machine code: Python has no other way to it."""
+    """eax, ebx, ecx and edx of CPUID."""
     result = (ctypes.c_uint32 * 4)()
+    _run(_CPUID_CODE, leaf, subleaf, ctypes.addressof(result))
+    return result[0], result[1], result[2], result[3]
+
+
+@cache
+def enabled() -> int:
+    """The state components that processor and kernel have in use here, as a mask (XCR0)."""
+    if not cpuid(1, 0)[2] & _OSXSAVE:
+        return 1 << SSE
+    return _run(_XGETBV_CODE, 0, 0, 0)
+
+
+def _run(code: bytes, first: int, second: int, third: int) -> int:
+    """Call machine code with three integers: Python has no other way to these instructions."""
     page = mmap.mmap(-1, mmap.PAGESIZE, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC)
-    page.write(_CPUID_CODE)
+    page.write(code)
     anchor = ctypes.c_char.from_buffer(page)
-    ctypes.CFUNCTYPE(None, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_void_p)(ctypes.addressof(anchor))(
-        leaf, subleaf, ctypes.addressof(result)
-    )
+    kind = ctypes.CFUNCTYPE(ctypes.c_uint64, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_void_p)
+    result = int(kind(ctypes.addressof(anchor))(first, second, third))
     del anchor
     page.close()
-    return result[0], result[1], result[2], result[3]
+    return result
 
 
 @cache
@@ -77,3 +98,8 @@ def pieces(number: int, size: int) -> Iterator[Piece]:
         yield Piece(AVX, offset_of(AVX) + 16 * number, 16)
     if size >= 64:
         yield Piece(ZMM_HIGH, offset_of(ZMM_HIGH) + 32 * number, 32)
+
+
+def mask_piece(number: int) -> Piece:
+    """Where mask register ``number`` lies."""
+    return Piece(OPMASK, offset_of(OPMASK) + 8 * number, 8)

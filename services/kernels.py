@@ -1,42 +1,170 @@
-"""The table of kernels: the only place where a kernel is declared."""
+"""The table of kernels: the only place where a kernel is declared.
+
+To import it is cheap. A kernel's sample and trial are found by name when they are asked for::
+
+    kernel = KERNELS["octomap"]
+    sample = kernel.sample()
+    golden = kernel.trial(sample)   # state made anew
+    golden.run()                    # the kernel, once, and nothing else
+    kernel.exact(golden.output(), faulty.output())
+    kernel.within_tolerance(golden.output(), faulty.output())
+"""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from services.bus.mission import FaultSpec
+    from services.bus.trial import Output, Sample, Trial
 
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """One kernel: its stage, where it is entered, and the libraries whose code it runs.
+    """One kernel: its stage, where it is entered, the libraries whose code it runs, and how it is tried.
 
     ``modules`` are file name prefixes of shared libraries; kernels compiled by numba run in anonymous
-    memory and name none.
+    memory and name none. ``trial_class`` is a :class:`services.bus.trial.Trial` in the stage's
+    ``samples`` module, which says what an output's values are; ``tolerance`` is by how much each of
+    their columns may differ (one number: all columns) in ``unit``.
     """
 
     name: str
     stage: str
     entry: str
-    modules: tuple[str, ...] = ()
+    modules: tuple[str, ...]
+    trial_class: str
+    tolerance: tuple[float, ...]
+    unit: str
+
+    @property
+    def sample_file(self) -> Path:
+        """The recorded input of the stage's kernels, written by ``zenfi bench samples``."""
+        return Path(__file__).parent / self.stage / "sample.npz"
+
+    def sample(self) -> Sample:
+        """The recorded input."""
+        import numpy as np  # noqa: PLC0415 - the table is cheap to import
+
+        with np.load(self.sample_file, allow_pickle=False) as arrays:
+            return dict(arrays)
+
+    def trial(self, sample: Sample) -> Trial:
+        """The kernel on its input, once; its state is made anew."""
+        samples = importlib.import_module(f"services.{self.stage}.samples")
+        trial: Trial = getattr(samples, self.trial_class)(self.name, sample)
+        return trial
+
+    def exact(self, one: Output, other: Output) -> bool:
+        """Whether two outputs are the same to the bit."""
+        return one.image == other.image
+
+    def within_tolerance(self, one: Output, other: Output) -> bool:
+        """Whether two outputs have as many values, and each pair is equal or within the tolerance."""
+        import numpy as np  # noqa: PLC0415
+
+        same_shape = one.values.shape == other.values.shape
+        return same_shape and bool(np.isclose(one.values, other.values, rtol=0.0, atol=self.tolerance).all())
+
+
+def _planner(name: str) -> Kernel:
+    entry = "services.planning.planners:plan"
+    return Kernel(name, "planning", entry, ("libompl",), "Planner", (0.1,), "m at each corner")
 
 
 _TABLE = (
-    Kernel("point_cloud", "perception", "services.perception.point_cloud:point_cloud"),
-    Kernel("octomap", "perception", "services.perception.occupancy:OccupancyMap.insert", ("liboctomap",)),
     Kernel(
-        "collision_check", "perception", "services.perception.collision:time_to_collision", ("liboctomap",)
+        "point_cloud",
+        "perception",
+        "services.perception.point_cloud:point_cloud",
+        (),
+        "PointCloud",
+        (0.05,),
+        "m at each point: the camera's noise at 7 m",
     ),
-    Kernel("rrt", "planning", "services.planning.planners:plan", ("libompl",)),
-    Kernel("rrt_connect", "planning", "services.planning.planners:plan", ("libompl",)),
-    Kernel("rrt_star", "planning", "services.planning.planners:plan", ("libompl",)),
-    Kernel("trajectory", "planning", "services.planning.trajectory:trajectory"),
-    Kernel("pid", "control", "services.control.pid:pid"),
+    Kernel(
+        "octomap",
+        "perception",
+        "services.perception.occupancy:OccupancyMap.insert",
+        ("liboctomap",),
+        "Octomap",
+        (0.0,),
+        "label of each voxel: log-odds may differ, what is free or occupied may not",
+    ),
+    Kernel(
+        "collision_check",
+        "perception",
+        "services.perception.collision:time_to_collision",
+        ("liboctomap",),
+        "CollisionCheck",
+        (0.04,),
+        "s: a tick of control",
+    ),
+    _planner("rrt"),
+    _planner("rrt_connect"),
+    _planner("rrt_star"),
+    _planner("prm_star"),
+    Kernel(
+        "lawn_mower",
+        "planning",
+        "services.planning.sweep:lawn_mower",
+        (),
+        "Sweep",
+        (0.1,),
+        "m at each end of a lane",
+    ),
+    Kernel(
+        "frontier",
+        "planning",
+        "services.planning.frontier:frontier",
+        (),
+        "Frontier",
+        (0.1,),
+        "m: the place to explore next",
+    ),
+    Kernel(
+        "trajectory",
+        "planning",
+        "services.planning.trajectory:trajectory",
+        (),
+        "Smoothing",
+        (0.04, *(0.1,) * 3, *(0.05,) * 3, *(0.1,) * 3, 0.02, 0.0),
+        "s, m, m/s, m/s^2, rad, and whether it turns on the spot",
+    ),
+    Kernel(
+        "pid",
+        "control",
+        "services.control.pid:pid",
+        (),
+        "Pid",
+        (0.02,),
+        "m/s and rad/s",
+    ),
 )
 
 KERNELS: Mapping[str, Kernel] = MappingProxyType({kernel.name: kernel for kernel in _TABLE})
+
+
+def aimed_at(fault: FaultSpec) -> str:
+    """The stage that a fault strikes."""
+    if fault.level == "instruction":
+        return KERNELS[fault.target].stage
+    from services.bus.states import members  # noqa: PLC0415 - the table is cheap to import
+
+    return members(fault.target)[0].stage
+
 
 PLANNERS: tuple[str, ...] = tuple(
     name for name, kernel in KERNELS.items() if kernel.entry.endswith("planners:plan")
 )
 """The kernels that a mission chooses one of."""
+
+GOAL_KERNELS: Mapping[str, str] = MappingProxyType(
+    {"scanning": "lawn_mower", "mapping": "frontier", "search": "frontier"}
+)
+"""The kernel that chooses the goals of a mission; the other missions have theirs given."""

@@ -10,7 +10,9 @@ from services.bus.mission import MissionSpec
 from services.bus.outcome import MissionResult, QoF
 from services.bus.topics import TICK_NS
 from sim.airframe import airframe
+from sim.area import corners
 from sim.imu import ImuSamples, InertialUnit
+from sim.objective import objective
 from sim.odometry import Drift
 from sim.qof import FlightMeter
 from sim.referee import judge
@@ -32,6 +34,8 @@ class Flight:
         self.drift = Drift(spec.odometry, spec.seed, TICK_NS / 1e9)
         self._imu = InertialUnit(spec.imu, spec.seed)
         self._felt: list[ImuSamples] = []
+        self.area = None if spec.mission == "navigation" else corners(spec.area, self.world)
+        self._objective = objective(spec, self.world, self.area)
         self._time_limit_s = spec.limits.mission_time_s
         self._meter = FlightMeter(self.world, frame, spec.energy)
         self._command: Floats = HOVER
@@ -51,6 +55,7 @@ class Flight:
             self._command = command
         self._fly(steps_left)
         self.drift.advance()
+        self._objective.observe(self.vehicle)
 
     def _fly(self, steps: int) -> None:
         if steps and not self.vehicle.contact:
@@ -69,15 +74,14 @@ class Flight:
         """The mission's result so far."""
         vehicle = self.vehicle
         return judge(
-            self.world.goal,
             self._time_limit_s,
             time_s=vehicle.time_s,
-            position=vehicle.position,
-            velocity=vehicle.velocity,
+            accomplished=self._objective.accomplished,
             contact=vehicle.contact,
             no_path=no_path,
         )
 
     def qof(self, *, success: bool, replans: int) -> QoF:
         """Quality of the flight so far."""
-        return self._meter.qof(success=success, replans=replans)
+        qof = self._meter.qof(success=success, replans=replans)
+        return qof.model_copy(update={"coverage": self._objective.coverage})

@@ -21,8 +21,8 @@ from sim.vehicle import Floats
 
 def warm_up() -> None:
     """Compile the kernels before there is a flight."""
-    for energy in ("regression", "momentum"):
-        spec = MissionSpec.model_validate({"energy": energy})
+    for fields in ({"energy": "momentum"}, {"mission": "scanning"}, {"mission": "mapping"}):
+        spec = MissionSpec.model_validate({"energy": "regression", **fields})
         flight = Flight(spec)
         flight.advance(0, [(0, np.zeros(4))])
         DepthCamera(spec.camera, 0).render(flight.vehicle)
@@ -37,6 +37,8 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
         node.watch("perception")
         node.ready()
         node.put("goal", telemetry.goal(header(0, "map"), flight.world))
+        if flight.area is not None:
+            node.put("task", telemetry.task(header(0, "map"), flight.world, flight.area))
         node.put("camera_info", telemetry.camera_info(header(0, "camera"), camera))
         exposed_ns = -1
         while True:
@@ -66,7 +68,10 @@ def report(node: Node, flight: Flight, plan: Input) -> bool:
     if result is not None or node.now_ns % 1_000_000_000 == 0:
         qof = flight.qof(success=result == "success", replans=int(replans))
         stamp = header(node.now_ns, "map")
-        node.put("mission", Mission(header=stamp, result=result or "flying", qof=qof.model_dump_json()))
+        node.put(
+            "mission",
+            Mission(header=stamp, result=result or "flying", qof=qof.model_dump_json(exclude_none=True)),
+        )
     return result is not None
 
 

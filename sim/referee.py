@@ -15,25 +15,32 @@ ARRIVAL_SPEED_M_S = 1.0
 speed down to nothing within half a metre: what arrives so also stays within the goal radius."""
 
 
+def arrived(goal: NDArray[np.float64], position: NDArray[np.float64], velocity: NDArray[np.float64]) -> bool:
+    """Whether the vehicle has come to ``goal``: (3,) each, world frame, m and m/s."""
+    near, slow = (
+        np.linalg.norm(goal - position) <= GOAL_RADIUS_M,
+        np.linalg.norm(velocity) <= ARRIVAL_SPEED_M_S,
+    )
+    return bool(near and slow)
+
+
 def judge(
-    goal: NDArray[np.float64],
     time_limit_s: float,
     *,
     time_s: float,
-    position: NDArray[np.float64],
-    velocity: NDArray[np.float64],
+    accomplished: bool,
     contact: bool,
     no_path: bool,
 ) -> MissionResult | None:
     """The mission's result, or None while it goes on.
 
-    ``goal``, ``position`` in m and ``velocity`` in m/s are (3,) in the world frame; ``contact`` is the
-    physics' word, ``no_path`` the planner's that it gives up. Where several hold at one instant, a
+    ``accomplished`` is the objective's word (``sim/objective.py``), ``contact`` the
+    physics', ``no_path`` the planner's that it gives up. Where several hold at one instant, a
     collision comes first (the paper counts a goal that is reached with one as a failure), then success.
     """
     if contact:
         return "collision"
-    if np.linalg.norm(goal - position) <= GOAL_RADIUS_M and np.linalg.norm(velocity) <= ARRIVAL_SPEED_M_S:
+    if accomplished:
         return "success"
     if no_path:
         return "no_path"

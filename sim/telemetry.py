@@ -17,13 +17,14 @@ from services.bus.messages import (
     Pose,
     PoseWithCovariance,
     RegionOfInterest,
+    Task,
     Twist,
     TwistWithCovariance,
 )
 from sim.camera import DepthCamera
 from sim.imu import ImuSamples
 from sim.odometry import Drift
-from sim.vehicle import Vehicle
+from sim.vehicle import Floats, Vehicle
 from sim.world import World
 
 _EXACT = np.zeros(36)
@@ -91,3 +92,8 @@ def goal(header: Header, world: World) -> Any:
         lower=point(world.bounds[0]),
         upper=point(world.bounds[1]),
     )
+
+
+def task(header: Header, world: World, area: Floats) -> Any:
+    """Where the mission starts, and the corners (2, 3) of the area that it covers."""
+    return Task(header=header, start=point(world.start), lower=point(area[0]), upper=point(area[1]))

@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 
 from dashboard.campaigns.local import Finished
 from services.bus.model import Strict
-from services.kernels import KERNELS
+from services.kernels import aimed_at
 
 
 class ArmSummary(Strict):
@@ -41,7 +41,7 @@ def _summary(arm: str, finished: Sequence[Finished]) -> ArmSummary:
     arrived = [outcome.qof for outcome in outcomes if outcome.qof.success]
     low, high = wilson(len(arrived), len(outcomes))
     aimed = [
-        outcome.nodes[KERNELS[outcome.spec.fault.target].stage].result
+        outcome.nodes[aimed_at(outcome.spec.fault)].result
         for outcome in outcomes
         if outcome.spec.fault is not None
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
@@ -12,6 +13,7 @@ from dashboard.commands.options import as_json
 from deploy.check import BadSpecError
 from deploy.forkserver import ForkServer
 from deploy.measure import measure, to_toml
+from deploy.samples import SPEC, make_samples, write
 
 
 @click.group()
@@ -44,3 +46,23 @@ def kernels(flights: int, output: Path | None, as_json: bool) -> None:
     for kernel, latency in platform.kernels.items():
         table.add_row(kernel, f"{latency.mean_ms:.3f}", f"{latency.jitter:.2f}")
     Console().print(table)
+
+
+@bench.command()
+@as_json
+def samples(as_json: bool) -> None:
+    """Record the kernels' sample inputs anew from a golden flight, into the package."""
+    server = ForkServer()
+    try:
+        made = make_samples(server)
+    finally:
+        server.close()
+    for file, sample in made.items():
+        before = file.read_bytes() if file.exists() else b""
+        write(sample, file)
+        changed = file.read_bytes() != before
+        if as_json:
+            click.echo(json.dumps({"file": str(file), "bytes": file.stat().st_size, "changed": changed}))
+        else:
+            told = "changed" if changed else "as it was"
+            click.echo(f"{file}: {file.stat().st_size} bytes, {told} ({SPEC.world}, seed {SPEC.seed})")

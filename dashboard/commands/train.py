@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import track
 
 from dashboard import detection
+from dashboard.commands.fault import FORM, parse_fault
 from dashboard.commands.options import as_json
 from deploy.check import BadSpecError, check
 from deploy.definitions import inlined
@@ -67,9 +68,7 @@ def train() -> None:
 @click.option(
     "--seeds", type=click.IntRange(1, 2**32), default=SEEDS, show_default=True, help="0 to this, less one."
 )
-@click.option(
-    "--fault", metavar="KERNEL", help="Flip one bit in this kernel; the fault's seed is the flight's."
-)
+@click.option("--fault", metavar=FORM, help="As in `zenfi fly`; the fault's seed is the flight's.")
 @click.option("--planner", default="rrt_star", show_default=True)
 @click.option("--platform", default="i9-9940x", show_default=True, metavar="NAME|FILE.toml")
 def record(output: Path, worlds: tuple[str, ...], seeds: int, fault: str | None, **fields: Any) -> None:
@@ -79,7 +78,7 @@ def record(output: Path, worlds: tuple[str, ...], seeds: int, fault: str | None,
         for seed in range(seeds):
             given = {"world": world, "seed": seed, **fields}
             if fault is not None:
-                given["fault"] = {"target": fault, "seed": seed}
+                given["fault"] = parse_fault(fault, seed)
             specs.append(MissionSpec.model_validate(inlined(given)))
     for world_spec in specs[::seeds]:
         check(world_spec)
@@ -93,7 +92,7 @@ def record(output: Path, worlds: tuple[str, ...], seeds: int, fault: str | None,
 
 
 def _record(folder: Path, spec: MissionSpec, server: ForkServer) -> None:
-    fault = f"-{spec.fault.target}" if spec.fault is not None else ""
+    fault = f"-{spec.fault.level}-{spec.fault.target}" if spec.fault is not None else ""
     path = folder / f"{spec.world_name}-{spec.seed:04d}{fault}.npz"
     if not path.exists():
         fly_and_watch(spec, server).save(path)

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from math import atan2
+from math import atan2, inf
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.bus.messages import Header, Odometry, Point, Quaternion, Trajectory, Vector3
+from services.bus.messages import (
+    Header,
+    MalformedMessageError,
+    Odometry,
+    Point,
+    Quaternion,
+    Trajectory,
+    Vector3,
+)
 
 Floats = NDArray[np.float64]
 
@@ -47,16 +55,73 @@ class State(NamedTuple):
     yaw: float
 
 
+FARTHEST_M = 10_000.0
+FASTEST_M_S = 100.0
+"""Odometry beyond these two is no measurement."""
+
+
 def state(message: Odometry) -> State:
-    """What odometry says; its linear velocity is in the world frame."""
+    """What odometry says; its linear velocity is in the world frame.
+
+    :raises MalformedMessageError: if it is not finite, out of this world or its quaternion no rotation.
+    """
     pose = message.pose.pose
     w, x, y, z = attitude = wxyz(pose.orientation)
+    position, velocity = xyz(pose.position), xyz(message.twist.twist.linear)
+    # A comparison with NaN is false.
+    sound = (
+        np.abs(position).max() <= FARTHEST_M
+        and np.abs(velocity).max() <= FASTEST_M_S
+        and np.abs(attitude).max() < 2.0
+        and abs(w * w + x * x + y * y + z * z - 1.0) < 0.01
+    )
+    if not sound:
+        raise MalformedMessageError(f"odometry: {position} m, {velocity} m/s, attitude {attitude}")
     yaw = atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
-    return State(xyz(pose.position), xyz(message.twist.twist.linear), attitude, yaw)
+    return State(position, velocity, attitude, yaw)
+
+
+def sound_goal(message: Any) -> Any:
+    """The goal message itself.
+
+    :raises MalformedMessageError: if it lies out of this world.
+    """
+    if not np.abs(xyz(message.position)).max() <= FARTHEST_M:
+        raise MalformedMessageError(f"goal: {message.position}")
+    return message
+
+
+def sound_task(message: Any) -> Any:
+    """The task message itself.
+
+    :raises MalformedMessageError: if it lies out of this world.
+    """
+    corners = message.start, message.lower, message.upper
+    if not np.abs([xyz(corner) for corner in corners]).max() <= FARTHEST_M:
+        raise MalformedMessageError(f"task: {message.start}, {message.lower}, {message.upper}")
+    return message
+
+
+class Place(NamedTuple):
+    """Where a mission flies: its goal, and if it says so its start and area; (3,) each, world frame."""
+
+    goal: Floats
+    start: Floats
+    lower: Floats
+    upper: Floats
+
+
+def place(goal: Any, task: Any) -> Place:
+    """What a goal message and a task message, or None, say; without a task all is at the goal."""
+    ends = [xyz(goal.position)] * 3 if task is None else [xyz(task.start), xyz(task.lower), xyz(task.upper)]
+    return Place(xyz(goal.position), *ends)
 
 
 POINT_FIELDS = 12
 """Numbers of one trajectory point: t, x y z, vx vy vz, ax ay az, yaw, blocking_yaw."""
+
+POINTS_MAX = 8192
+"""Of a trajectory: half an hour of flight."""
 
 
 class Plan(NamedTuple):
@@ -69,15 +134,20 @@ class Plan(NamedTuple):
 
 
 def plan(message: Any) -> Plan:
-    """What a trajectory message says; empty if its numbers are no whole points."""
-    whole = message.points.size % POINT_FIELDS == 0
-    points = message.points if whole else np.empty(0)
-    return Plan(
-        message.trajectory_seq,
-        message.future_collision_seq,
-        points.reshape(-1, POINT_FIELDS),
-        bool(message.failed),
-    )
+    """What a trajectory message says.
+
+    :raises MalformedMessageError: if its numbers are no whole points, too many or not finite, or if
+        its time runs backwards.
+    """
+    count, rest = divmod(message.points.size, POINT_FIELDS)
+    if rest or count > POINTS_MAX:
+        raise MalformedMessageError(f"trajectory: {message.points.size} numbers")
+    points = message.points.reshape(-1, POINT_FIELDS)
+    if not np.isfinite(points).all():
+        raise MalformedMessageError("trajectory: not finite")
+    if (points[1:, 0] < points[:-1, 0]).any():
+        raise MalformedMessageError("trajectory: its time runs backwards")
+    return Plan(message.trajectory_seq, message.future_collision_seq, points, bool(message.failed))
 
 
 def plan_message(header: Header, made: Plan) -> Any:
@@ -105,7 +175,12 @@ class Verdict(NamedTuple):
 
 
 def verdict(message: Any) -> Verdict:
-    """What a collision check says."""
-    stamp = message.header.stamp
+    """What a collision check says.
+
+    :raises MalformedMessageError: if its time to collision is no time: NaN or minus infinity.
+    """
+    stamp, left_s = message.header.stamp, message.time_to_collision
+    if not left_s > -inf:
+        raise MalformedMessageError(f"collision check: {left_s} s to collision")
     checked_s = stamp.sec + stamp.nanosec / 1e9
-    return Verdict(checked_s, message.trajectory_seq, message.future_collision_seq, message.time_to_collision)
+    return Verdict(checked_s, message.trajectory_seq, message.future_collision_seq, left_s)

@@ -47,6 +47,7 @@ __all__ = [
     "PoseWithCovariance",
     "Quaternion",
     "RegionOfInterest",
+    "Task",
     "Time",
     "Trajectory",
     "Twist",
@@ -93,6 +94,14 @@ MESSAGES = {
         geometry_msgs/Point lower
         geometry_msgs/Point upper
     """,
+    # What a mission other than navigation is about beside its goal: where it starts, and the opposite
+    # corners of the area that it covers. Their height is that of the flight.
+    "zenfi_msgs/msg/Task": """
+        std_msgs/Header header
+        geometry_msgs/Point start
+        geometry_msgs/Point lower
+        geometry_msgs/Point upper
+    """,
     # Verdict on the rest of the present trajectory (facts page, "collision check").
     "zenfi_msgs/msg/CollisionCheck": """
         std_msgs/Header header
@@ -132,6 +141,7 @@ Horizon = TYPESTORE.types["zenfi_msgs/msg/Horizon"]
 ImuBatch = TYPESTORE.types["zenfi_msgs/msg/ImuBatch"]
 Injection = TYPESTORE.types["zenfi_msgs/msg/Injection"]
 Mission = TYPESTORE.types["zenfi_msgs/msg/Mission"]
+Task = TYPESTORE.types["zenfi_msgs/msg/Task"]
 CollisionCheck = TYPESTORE.types["zenfi_msgs/msg/CollisionCheck"]
 Trajectory = TYPESTORE.types["zenfi_msgs/msg/Trajectory"]
 Octomap = TYPESTORE.types["octomap_msgs/msg/Octomap"]

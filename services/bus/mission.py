@@ -6,6 +6,7 @@ declare them by :func:`deploy.check.check`; here only form and range are.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -42,16 +43,88 @@ Platform = Annotated[
 class FaultSpec(Strict):
     """One fault: where, when and what is flipped.
 
+    At ``level`` instruction ``target`` is a kernel (``services/kernels.py``), and the bits are those of an
+    instruction that it executes; at level source it is an inter-kernel state or a vector of them
+    (``services/bus/states.py``), and the bits are those of one message that carries it.
+
     ``trigger`` is left out by people; :func:`deploy.pairing.draw_trigger` draws it from ``seed`` over
     the golden twin, so that a stored specification says exactly when the fault struck.
+
+    Models: ``bitflip`` inverts bits of a register; ``stuck_at`` holds them at ``stuck_value`` for
+    ``stuck_instructions``; ``opcode`` inverts bits of the instruction for one execution; ``memory``
+    inverts bits of the word that the instruction reads or writes; ``none`` does everything but the flip.
     """
 
-    level: Literal["instruction"] = "instruction"
-    target: str = Field(description="kernel, as named in services/kernels.py")
+    level: Literal["instruction", "source"] = "instruction"
+    target: str = Field(description="kernel, or inter-kernel state")
     seed: Seed = Field(default=0, ge=0, lt=2**32)
+    model: Literal["bitflip", "stuck_at", "opcode", "memory", "none"] = "bitflip"
     operand: Literal["source", "destination", "any"] = "any"
-    register_class: Literal["gpr", "vector", "any"] = "any"
+    register_class: Literal["gpr", "vector", "flags", "mask", "any"] = "any"
+    bits: int = Field(default=1, ge=1, le=64, description="how many distinct bits are drawn")
+    field: Literal["any", "sign", "exponent", "mantissa"] = Field(
+        default="any", description="of one number of a floating-point operand"
+    )
+    bit_numbers: tuple[int, ...] | None = Field(default=None, description="these bits, instead of drawn ones")
+    stuck_value: Literal[0, 1] | None = None
+    stuck_instructions: int | None = Field(default=None, ge=1, le=10_000)
+    scope: Literal["kernel", "thread"] = Field(
+        default="thread", description="the kernel's own code, or all that its thread runs in the call"
+    )
+    components: Literal["one", "all"] = Field(default="one", description="of a vector of states")
+    point: int | None = Field(default=None, ge=0, description="of a trajectory, instead of a drawn one")
     trigger: Trigger | None = None
+
+    @model_validator(mode="after")
+    def _refuse_nonsense(self) -> FaultSpec:
+        problem = next(self._problems(), None)
+        if problem is not None:
+            raise ValueError(problem)
+        return self
+
+    def _problems(self) -> Iterator[str]:
+        """What does not go together, one line each."""
+        if self.level == "source":
+            yield from self._source_problems()
+        elif self.components != "one" or self.point is not None:
+            yield "components and point go with level source"
+        stuck = (self.stuck_value, self.stuck_instructions)
+        if self.model == "stuck_at" and None in stuck:
+            yield "model stuck_at needs stuck_value (0 or 1) and stuck_instructions (how many)"
+        if self.model != "stuck_at" and stuck != (None, None):
+            yield f"stuck_value and stuck_instructions go with model stuck_at, not {self.model}"
+        if self.model in ("opcode", "memory") and self.register_class != "any":
+            yield f"model {self.model} strikes no register: leave out register_class"
+        if self.model == "opcode" and (self.operand, self.field) != ("any", "any"):
+            yield "model opcode strikes no operand: leave out operand and field"
+        if self.field != "any":
+            yield from self._field_problems()
+        if self.bit_numbers is not None:
+            yield from self._bit_number_problems(self.bit_numbers)
+
+    def _source_problems(self) -> Iterator[str]:
+        if self.model not in ("bitflip", "none"):
+            yield f"model {self.model} goes with level instruction; at level source: bitflip, none"
+        if (self.operand, self.register_class, self.scope) != ("any", "any", "thread"):
+            yield "operand, register_class and scope go with level instruction: a message has none"
+
+    def _field_problems(self) -> Iterator[str]:
+        if self.register_class not in ("vector", "any"):
+            yield (
+                f"field {self.field} is one of a floating-point number: register_class vector or any, "
+                f"not {self.register_class}"
+            )
+        if self.bit_numbers is not None:
+            yield "field and bit_numbers both say which bits: leave out one"
+        largest = {"sign": 1, "exponent": 11, "mantissa": 52}.get(self.field, self.bits)
+        if self.bits > largest:
+            yield f"bits: {self.field} has at most {largest}, got {self.bits}"
+
+    def _bit_number_problems(self, numbers: tuple[int, ...]) -> Iterator[str]:
+        if not numbers or len(set(numbers)) < len(numbers) or not all(0 <= one < 512 for one in numbers):
+            yield f"bit_numbers: expected distinct numbers from 0 to 511, got {list(numbers)}"
+        if self.bits not in (1, len(numbers)):
+            yield "bits counts bits to be drawn, bit_numbers names them: leave out bits"
 
 
 class Trigger(Strict):
@@ -70,6 +143,18 @@ class Limits(Strict):
     hang_cpu_s: float = Field(default=3.0, gt=0, le=600, description="thread time within one step")
 
 
+class Area(Strict):
+    """The level rectangle that a mission covers: corners (x, y) in the world frame.
+
+    A corner that is left out follows from the world's start and goal (:func:`sim.area.corners`).
+    """
+
+    lower: tuple[float, float] | None = None
+    upper: tuple[float, float] | None = None
+    swath_m: float = Field(default=8.0, ge=1, le=50, description="width that one pass of a sweep covers")
+    coverage: float = Field(default=0.9, gt=0, le=1, description="covered part of the area that is enough")
+
+
 class MissionSpec(Strict):
     """Everything that a flight depends on: same specification, same bytes.
 
@@ -77,6 +162,8 @@ class MissionSpec(Strict):
     specification is written, ``profile`` stands for the fields of a profile that it leaves out.
     """
 
+    mission: Literal["navigation", "scanning", "mapping", "search", "delivery"] = "navigation"
+    area: Area = Area()
     world: World = "sparse"
     seed: Seed = Field(default=0, ge=0, lt=2**32)
     airframe: Airframe = "airsim"

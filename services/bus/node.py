@@ -13,7 +13,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import zenoh
@@ -21,11 +21,13 @@ import zenoh
 from services.bus import announce, session
 from services.bus.horizon import NEVER_NS, Stamped, earliest_activation, next_activation
 from services.bus.latency import Latency
-from services.bus.messages import Horizon, decode, encode
+from services.bus.messages import Horizon, Injection, MalformedMessageError, decode, encode
 from services.bus.mission import MissionSpec
 from services.bus.model import Strict
 from services.bus.platform import KernelLatency
-from services.bus.ports import Input, Output
+from services.bus.ports import Input, Output, as_it_is, promise_of
+from services.bus.recovery import Recovery
+from services.bus.source_fault import SourceFault
 from services.bus.topics import HORIZON_TYPE, PLANNER, TOPICS, published_by
 from services.bus.vitals import Vitals
 
@@ -79,6 +81,11 @@ class Node:
             kernel: Latency(stated, setup.spec.seed, kernel, setup.life)
             for kernel, stated in setup.latencies.items()
         }
+        fault = setup.spec.fault
+        self._source_fault = (
+            SourceFault(fault, setup.spec.seed) if fault is not None and fault.level == "source" else None
+        )
+        self.recovery = Recovery(self.count, self._corrupt)
         self._inbox: queue.SimpleQueue[tuple[str, zenoh.Sample]] = queue.SimpleQueue()
         self._inputs: dict[str, Input] = {}
         self._declared: list[Any] = []
@@ -107,11 +114,13 @@ class Node:
 
     # -- declaring ---------------------------------------------------------------------------------
 
-    def input(self, name: str) -> Input:
-        """Subscribe to a topic."""
+    def input(self, name: str, parse: Callable[[Any], Any] = as_it_is) -> Input:
+        """Subscribe to a topic; ``parse`` as in :class:`Input`."""
         topic = TOPICS[name]
         first_seq = self._setup.resume_from.get(name, 0)
-        self._inputs[name] = Input(topic, self._rank, first_seq, self._setup.start_ns)
+        self._inputs[name] = Input(
+            topic, self._rank, first_seq, self._setup.start_ns, parse, lambda: self.count("malformed")
+        )
         self._subscribe(session.topic_key(name), name)
         self.watch(topic.publisher)
         return self._inputs[name]
@@ -147,12 +156,24 @@ class Node:
 
     # -- publishing --------------------------------------------------------------------------------
 
-    def put(self, topic: str, message: Any) -> None:
-        """Publish ``message`` as ready at the node's present virtual time."""
+    def put(self, topic: str, message: Any) -> Any:
+        """Publish ``message`` as ready at the node's present virtual time; what was published."""
         begin = time.perf_counter_ns()
+        self._corrupt(topic, message)
         self._outputs[topic].put(message, self.now_ns)
         self._page["published"][list(self._outputs).index(topic)] += 1
         self._page["messaging_wall_ns"] += time.perf_counter_ns() - begin
+        return message
+
+    def _corrupt(self, topic: str, message: Any) -> None:
+        """Let the mission's source-level fault strike ``message``, the topic's next, if it is the one."""
+        fault = self._source_fault
+        if fault is None or fault.topic != topic:
+            return
+        record = fault.strike(message, self._outputs[topic].published, self.now_ns)
+        if record is not None:
+            told = Injection(record=record.model_dump_json(by_alias=True))
+            self.session.put(session.topic_key("injection"), encode(told, TOPICS["injection"].type))
 
     def promise(self, base_ns: int, busy_until_ns: int) -> None:
         """Tell the followers that nothing more is triggered before ``base_ns``."""
@@ -295,6 +316,10 @@ class Node:
         """Count a message that was not made because nobody would have taken it up."""
         self._page["dropped"] += 1
 
+    def count(self, what: Literal["malformed", "outdated", "alarms", "recomputed"]) -> None:
+        """Count a message that was refused, or an output that was alarmed or made again."""
+        self._page[what] += 1
+
     # -- receiving ---------------------------------------------------------------------------------
 
     def _await_inputs(self, inputs: Sequence[Input], now_ns: int) -> None:
@@ -325,12 +350,24 @@ class Node:
         else:
             channel = self._inputs[label].channel
             doubled = channel.duplicates
-            channel.receive(session.stamped(sample))
-            # What comes again was not lost, only slower than the recorder's answer.
-            self._page["recovered"] -= channel.duplicates - doubled
+            try:
+                channel.receive(session.stamped(sample))
+            except MalformedMessageError:
+                self.count("malformed")
+            if channel.duplicates == doubled:
+                return
+            # What comes again after the recorder's answer was not lost, only slower.
+            if self._page["recovered"] > 0:
+                self._page["recovered"] -= 1
+            else:
+                self.count("outdated")
 
     def _hear(self, stage: str, payload: bytes) -> None:
-        message = decode(payload, HORIZON_TYPE)
+        try:
+            message = promise_of(stage, payload)
+        except MalformedMessageError:
+            self.count("malformed")
+            return
         heard = self._heard[stage]
         if heard is None or message.serial > heard.serial:
             self._heard[stage] = message

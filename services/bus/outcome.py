@@ -25,6 +25,7 @@ class QoF(Strict):
     missions_per_charge: float = Field(description="such flights that a full battery holds; 0 if it failed")
     replans: int
     min_clearance_m: float = Field(description="smallest distance from the hull to any obstacle")
+    coverage: float | None = Field(default=None, description="covered part of the area, if there is one")
 
 
 NO_FLIGHT = QoF(
@@ -41,14 +42,22 @@ NO_FLIGHT = QoF(
 
 
 class InjectionRecord(Strict):
-    """One injection, in full. Register values are hexadecimal, least significant bit last."""
+    """One injection, in full.
+
+    Values are those of the ``width_bits`` that were struck, as one number in hexadecimal; the bytes of
+    memory and instructions are taken as little-endian. ``bits`` are numbers of bits of that number.
+    """
 
     status: Literal["injected", "not_activated", "not_reached", "failed"]
-    reason: str = Field(default="", description="why, where the status is not `injected`")
+    reason: str = Field(default="", description="why, where the status is not `injected` or only in part")
     mode: Literal["exact", "occurrence", "cpu_time"] = "cpu_time"
     node: str
-    kernel: str
-    invocation: int
+    kernel: str = Field(description="empty for a source-level fault")
+    invocation: int = Field(description="of the kernel, or number of the message; from 0")
+    state: list[str] = Field(default=[], description="inter-kernel states struck by a source-level fault")
+    point: int = Field(default=0, description="of the trajectory that was struck")
+    model: Literal["bitflip", "stuck_at", "opcode", "memory", "none"] = "bitflip"
+    scope: Literal["kernel", "thread"] = "thread"
     pid: int = 0
     tid: int = 0
     module: str = ""
@@ -59,15 +68,21 @@ class InjectionRecord(Strict):
     instruction: str = ""
     operand: Literal["source", "destination", ""] = ""
     register_name: str = Field(default="", alias="register")
+    address: int = Field(default=0, description="of the memory that was struck")
     width_bits: int = 0
+    element_bits: int = Field(default=0, description="of the floating-point numbers in it; 0 for none")
     bits: list[int] = []
     before: str = ""
     after: str = ""
     read_back: str = ""
+    instruction_after: str = Field(default="", description="what was executed in its place")
+    held_instructions: int = Field(default=0, description="for how many a bit was held")
     virtual_time_ns: int = 0
     pause_us: float = 0.0
     threads_stopped: int = 0
-    resampled: int = Field(default=0, description="candidate sites passed over: system call, no register")
+    resampled: int = Field(
+        default=0, description="sites passed over: system call, nothing eligible, outside the scope"
+    )
 
 
 class KernelUse(Strict):
@@ -89,6 +104,10 @@ class NodeReport(Strict):
     steps: int = 0
     dropped: int = Field(default=0, description="triggers superseded while the node was busy")
     late: int = Field(default=0, description="ticks that the simulator began more than a tick late")
+    malformed: int = Field(default=0, description="messages that it refused because they make no sense")
+    outdated: int = Field(default=0, description="messages that it refused because there were newer ones")
+    alarms: int = Field(default=0, description="outputs that were found wrong")
+    recomputed: int = Field(default=0, description="outputs that were made again")
     compute_s: float = 0.0
     messaging_s: float = 0.0
     waiting_s: float = 0.0
@@ -116,6 +135,7 @@ class Outcome(Strict):
     topics: dict[str, TopicReport]
     injection: InjectionRecord | None = None
     golden: GoldenTwin | None = None
+    refused_messages: int = Field(default=0, description="not recorded: no sequence number, or an old one")
     recovered_messages: int = Field(default=0, description="late deliveries fetched again from the recorder")
 
 

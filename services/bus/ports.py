@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import zenoh
@@ -10,21 +11,51 @@ import zenoh
 from services.bus import session
 from services.bus.horizon import Channel, Stamped
 from services.bus.messages import MalformedMessageError, decode, encode
-from services.bus.topics import Topic
+from services.bus.topics import HORIZON_TYPE, Topic, published_by
+
+
+def promise_of(stage: str, payload: bytes) -> Any:
+    """The promise of a stage.
+
+    :raises MalformedMessageError: if it does not speak of the stage's topics.
+    """
+    message = decode(payload, HORIZON_TYPE)
+    if not len(message.count) == len(message.until_ns) == len(published_by(stage)):
+        raise MalformedMessageError(f"{stage}: a promise on {len(message.count)} topics")
+    return message
+
 
 RECENT = 64
 """Messages that an input remembers for :meth:`Input.at`."""
 
 
-class Input:
-    """A subscribed topic."""
+def as_it_is(message: Any) -> Any:
+    """What an input without a parser makes of its messages."""
+    return message
 
-    def __init__(self, topic: Topic, stage_rank: int, first_seq: int, start_ns: int) -> None:
+
+class Input:
+    """A subscribed topic.
+
+    ``parse`` makes of a decoded message what the stage works with, and raises
+    :class:`MalformedMessageError` if it makes no sense; ``refused`` is told of each such message.
+    """
+
+    def __init__(
+        self,
+        topic: Topic,
+        stage_rank: int,
+        first_seq: int,
+        start_ns: int,
+        parse: Callable[[Any], Any],
+        refused: Callable[[], None],
+    ) -> None:
         self.topic = topic
         self.channel = Channel(first_seq, start_ns if topic.qos == "stream" else 0)
         self.before_only = topic.rank >= stage_rank
         self.new: list[Stamped] = []
-        self.malformed = 0
+        self._parse = parse
+        self._refused = refused
         self._recent: deque[Stamped] = deque(maxlen=RECENT)
         self._latest: Any = None
 
@@ -41,11 +72,11 @@ class Input:
             self._latest = None
 
     def read(self, message: Stamped) -> Any | None:
-        """The decoded message; None (and counted) if its bytes are malformed."""
+        """The parsed message; None (and counted) if it is malformed."""
         try:
-            return decode(message.payload, self.topic.type)
+            return self._parse(decode(message.payload, self.topic.type))
         except MalformedMessageError:
-            self.malformed += 1
+            self._refused()
             return None
 
     @property

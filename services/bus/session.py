@@ -20,7 +20,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from services.bus.horizon import Stamped
-from services.bus.messages import type_hash
+from services.bus.messages import MalformedMessageError, type_hash
 from services.bus.topics import TOPICS
 
 DOMAIN_ID = 0
@@ -113,12 +113,12 @@ def attach(seq: int, ready_ns: int, gid: bytes) -> bytes:
 def stamped(sample: zenoh.Sample) -> Stamped:
     """The message in a sample.
 
-    :raises ValueError: if the attachment is missing or not of rmw_zenoh's form.
+    :raises MalformedMessageError: if the attachment is missing or not of rmw_zenoh's form.
     """
     attachment = sample.attachment
     raw = attachment.to_bytes() if attachment is not None else b""
     if len(raw) != _ATTACHMENT.size:
         message = f"{sample.key_expr}: attachment of {len(raw)} bytes, expected {_ATTACHMENT.size}"
-        raise ValueError(message)
+        raise MalformedMessageError(message)
     seq, ready_ns, _, _ = _ATTACHMENT.unpack(raw)
     return Stamped(seq, ready_ns, sample.payload.to_bytes())

@@ -38,6 +38,16 @@ class InterKernelState:
     stride: int = 0
 
     @property
+    def width_bits(self) -> int:
+        """Bits of one value."""
+        return 8 * np.dtype(self.dtype).itemsize
+
+    @property
+    def floating(self) -> bool:
+        """Whether it has sign, exponent and mantissa."""
+        return issubclass(self.dtype, np.floating)
+
+    @property
     def stage(self) -> str:
         """Who publishes it."""
         return TOPICS[self.topic].publisher

@@ -48,6 +48,7 @@ _PERCEPTION = ("point_cloud", "octomap")
 
 _TABLE = (
     Topic("goal", "zenfi_msgs/msg/Goal", "sim", None, (), "latched", True),
+    Topic("task", "zenfi_msgs/msg/Task", "sim", None, (), "latched", True),
     Topic("camera_info", "sensor_msgs/msg/CameraInfo", "sim", None, (), "latched", True),
     Topic("odometry", "nav_msgs/msg/Odometry", "sim", None, (), "stream", True),
     Topic("imu", "zenfi_msgs/msg/ImuBatch", "sim", None, (), "stream", True),

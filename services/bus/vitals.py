@@ -22,6 +22,10 @@ _LAYOUT = np.dtype(
         ("dropped", np.int64),  # triggers superseded while busy
         ("late", np.int64),  # ticks begun more than a tick late, in real time
         ("recovered", np.int64),  # messages fetched again from the recorder
+        ("malformed", np.int64),  # messages refused because they make no sense
+        ("outdated", np.int64),  # messages refused because there are newer ones
+        ("alarms", np.int64),  # outputs found wrong
+        ("recomputed", np.int64),  # outputs made again
         ("compute_wall_ns", np.int64),
         ("messaging_wall_ns", np.int64),
         ("waiting_wall_ns", np.int64),

@@ -7,13 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from services.bus.safety import BRAKE_BELOW_S, DECELERATION_M_S2
 from services.control.pid import STATE_SIZE, pid, stopping
-
-BRAKE_BELOW_S = 2.0
-"""A collision nearer than this is braked for: a second from full speed to rest, a frame of perception
-and its latency. One farther off leaves planning the time to lead around it in flight."""
-
-DECELERATION_M_S2 = 4.0
 
 WAYPOINT_FIELDS = 10
 """Numbers of a tracked waypoint: duration, x y z, vx vy vz, ax ay az."""
@@ -35,17 +30,19 @@ class Follower:
         self._collisions = 0
         self._collision_at_s = math.inf
         self._collision_on: int | None = None
-        self._state = np.zeros(STATE_SIZE)
+        self.state = np.zeros(STATE_SIZE)
+        self._before = np.zeros(STATE_SIZE)
 
     def take_trajectory(
         self, trajectory_seq: int, future_collision_seq: int, points: NDArray[np.float64]
     ) -> bool:
         """Take in a trajectory (n, 12), or an empty one for: no path, stop. False if it is refused.
 
-        One that was planned before the newest collision was found is refused. It is flown from its
-        first row's time on; the present one is kept until then.
+        One that was planned before the newest collision was found is refused, and one that is older than
+        the trajectory of the newest verdict. It is flown from its first row's time on; the present one is
+        kept until then.
         """
-        if future_collision_seq < self._collisions:
+        if future_collision_seq < self._collisions or trajectory_seq < (self._collision_on or 0):
             return False
         self._coming = (trajectory_seq, points)
         return True
@@ -68,7 +65,24 @@ class Follower:
     ) -> NDArray[np.float64]:
         """Flight command (vx, vy, vz, yaw rate) for the present state."""
         curve = self.curve(now_s, position, velocity, yaw)
-        return pid(curve, now_s, position, velocity, yaw, period_s, self._state)
+        self._before[:] = self.state
+        return pid(curve, now_s, position, velocity, yaw, period_s, self.state)
+
+    def skip_waypoint(self, now_s: float) -> bool:
+        """Drop the waypoint that is flown to and take the next; False (and a stop) if there is none.
+
+        The last command's part in the controller's state is taken back: it is as if never made.
+        """
+        self.state[:] = self._before
+        points = self._followed
+        if points is None:
+            return False
+        ahead = int(np.searchsorted(points[:, 0], now_s, side="right"))
+        if ahead >= len(points) - 1:
+            self._followed = None
+            return False
+        self._followed = np.delete(points, ahead, axis=0)
+        return True
 
     def curve(
         self, now_s: float, position: NDArray[np.float64], velocity: NDArray[np.float64], yaw: float
@@ -88,7 +102,7 @@ class Follower:
             return self._followed
         if self._stop is None:
             self._stop = stopping(now_s, position, velocity, yaw, DECELERATION_M_S2)
-            self._state[:] = 0.0
+            self.state[:] = 0.0
         return self._stop
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from services.bus.arrays import POINT_FIELDS, plan, state, vector, verdict
+from services.bus.arrays import POINT_FIELDS, Floats, plan, state, vector, verdict
 from services.bus.messages import Twist, TwistStamped, header
-from services.bus.node import NodeSetup
+from services.bus.node import Node, NodeSetup
 from services.bus.realtime import join
 from services.bus.session import Meeting
 from services.bus.topics import TICK_NS
@@ -33,23 +35,40 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
     follower = Follower()
     with join(setup, meeting, vitals) as node:
         odometry, check, trajectory = (
-            node.input("odometry"),
-            node.input("collision_check"),
-            node.input("trajectory"),
+            node.input("odometry", state),
+            node.input("collision_check", verdict),
+            node.input("trajectory", plan),
         )
         node.ready()
         for measured in node.spin(odometry):
-            for message in map(check.read, check.new):
-                if message is not None:
-                    follower.take_verdict(*verdict(message))
-            for message in map(trajectory.read, trajectory.new):
-                if message is not None:
-                    follower.take_trajectory(*plan(message)[:3])
+            for found in map(check.read, check.new):
+                if found is not None:
+                    follower.take_verdict(*found)
+            for made in map(trajectory.read, trajectory.new):
+                if made is not None and not follower.take_trajectory(*made[:3]):
+                    node.count("outdated")
             here = odometry.read(measured)
             if here is None:
                 continue
-            now_s, (position, velocity, _, yaw) = node.now_ns / 1e9, state(here)
-            with node.kernel("pid"):
-                command = follower.command(now_s, position, velocity, yaw, TICK_S)
-            twist = Twist(linear=vector(command[:3]), angular=vector(np.array([0.0, 0.0, command[3]])))
-            node.put("command", TwistStamped(header=header(node.now_ns, "map"), twist=twist))
+            now_s, (position, velocity, _, yaw) = node.now_ns / 1e9, here
+            _, command = node.recovery.sound(
+                "command",
+                partial(make, node, follower, now_s, position, velocity, yaw),
+                partial(command_message, node),
+                partial(follower.skip_waypoint, now_s),
+            )
+            node.put("command", command)
+
+
+def make(
+    node: Node, follower: Follower, now_s: float, position: Floats, velocity: Floats, yaw: float
+) -> Floats:
+    """The command for the present state."""
+    with node.kernel("pid"):
+        return follower.command(now_s, position, velocity, yaw, TICK_S)
+
+
+def command_message(node: Node, command: Floats) -> TwistStamped:
+    """The message of a command (4,): velocity, world frame, and yaw rate."""
+    twist = Twist(linear=vector(command[:3]), angular=vector(np.array([0.0, 0.0, command[3]])))
+    return TwistStamped(header=header(node.now_ns, "map"), twist=twist)

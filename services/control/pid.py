@@ -8,9 +8,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-SPEED_LIMIT_M_S = 3.0
+from services.bus.safety import SPEED_LIMIT_M_S
+
 YAW_RATE_LIMIT_RAD_S = math.radians(90.0)
-"""Both limits: facts page, "control"."""
+"""Facts page, "control"."""
 
 _PROPORTIONAL = 1.2  # 1/s
 _INTEGRAL = 0.1  # 1/s^2

@@ -8,11 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from services.bus.safety import BODY_HEIGHT_M, BODY_RADIUS_M
 from services.perception.occupancy import OccupancyMap
-
-# Safety body, an upright cylinder: facts page, "collision check".
-BODY_RADIUS_M = 1.5
-BODY_HEIGHT_M = 0.6
 
 _MAX_VOXELS = 20_000
 """Where a sweep ends that no sensible trajectory asks for: 400 m of flight."""

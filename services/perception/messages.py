@@ -3,21 +3,57 @@
 from __future__ import annotations
 
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.bus.arrays import Plan
-from services.bus.messages import CollisionCheck, Header, Image, Octomap, PointCloud2, PointField
+from services.bus.messages import (
+    CameraInfo,
+    CollisionCheck,
+    Header,
+    Image,
+    MalformedMessageError,
+    Octomap,
+    PointCloud2,
+    PointField,
+)
 from services.perception.occupancy import OccupancyMap
 
 _FIELDS = [PointField(name, 4 * i, PointField.FLOAT32, 1) for i, name in enumerate("xyz")]
 
 
 def depth_array(image: Image) -> NDArray[np.float32]:
-    """The depth image (h, w) of a 32FC1 message."""
+    """The depth image (h, w) of a 32FC1 message.
+
+    :raises MalformedMessageError: if it has another encoding or number of pixels, or none at all.
+    """
+    pixels = image.height * image.width
+    if image.encoding != "32FC1" or image.is_bigendian or not pixels or image.data.size != 4 * pixels:
+        size = f"{image.width} x {image.height} pixels in {image.data.size} bytes"
+        raise MalformedMessageError(f"depth image: {image.encoding!r}, {size}")
     return image.data.view(np.float32).reshape(image.height, image.width)
+
+
+class Pinhole(NamedTuple):
+    """A camera's intrinsics, pixels."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+def pinhole(info: CameraInfo) -> Pinhole:
+    """The camera that a message describes.
+
+    :raises MalformedMessageError: if no camera has such intrinsics.
+    """
+    fx, cx, fy, cy = info.k[[0, 2, 4, 5]]
+    if not (np.isfinite([fx, fy, cx, cy]).all() and fx > 0.0 and fy > 0.0):
+        raise MalformedMessageError(f"camera: intrinsics {info.k}")
+    return Pinhole(fx, fy, cx, cy)
 
 
 def cloud_message(header: Header, points: NDArray[np.float32]) -> PointCloud2:
@@ -33,6 +69,11 @@ def cloud_message(header: Header, points: NDArray[np.float32]) -> PointCloud2:
         data=np.ascontiguousarray(points).reshape(-1).view(np.uint8),
         is_dense=True,
     )
+
+
+def cloud_points(cloud: PointCloud2) -> NDArray[np.float32]:
+    """The points (n, 3) of a cloud that :func:`cloud_message` made."""
+    return cloud.data.view(np.float32).reshape(-1, len(_FIELDS))
 
 
 def map_message(header: Header, occupancy: OccupancyMap) -> Any:

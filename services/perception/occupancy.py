@@ -47,8 +47,17 @@ class OccupancyMap:
 
     def occupied(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Whether the voxel at each of ``points`` (n, 3) is occupied."""
+        return np.equal(self.labels(points), 1)
+
+    def labels(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
+        """The voxel at each of ``points`` (n, 3): -1 unknown, 0 free, 1 occupied."""
         labels: NDArray[np.int32] = self._tree.getLabels(points)
-        return np.equal(labels, 1)
+        return labels
+
+    def to_stream(self) -> bytes:
+        """The whole map, every node's log-odds included, in OctoMap's own format (.ot)."""
+        stream: bytes = self._tree.write()
+        return stream
 
     def to_binary(self) -> bytes:
         """The map as data of an ``octomap_msgs/Octomap`` message with ``binary`` set.
@@ -57,7 +66,7 @@ class OccupancyMap:
         had been seen once would weigh as much as what had been seen often. So the full stream is
         written, which leaves the map alone, and reduced here.
         """
-        stream: bytes = self._tree.write()
+        stream = self.to_stream()
         nodes = np.frombuffer(stream, dtype=np.uint8, offset=stream.index(b"\ndata\n") + 6)
         return _reduce(nodes, self._tree.getOccupancyThresLog()).tobytes()
 

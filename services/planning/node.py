@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+from functools import partial
+from typing import Any
+
 import numpy as np
 
 from services.bus import rng
-from services.bus.arrays import Floats, plan_message, state, verdict, xyz
+from services.bus.arrays import Floats, place, plan_message, sound_goal, sound_task, state, verdict
 from services.bus.messages import header
 from services.bus.node import Node, NodeSetup
 from services.bus.realtime import join
 from services.bus.session import Meeting
 from services.bus.vitals import Vitals
+from services.kernels import GOAL_KERNELS
+from services.planning.goals import Goals, Standing, goals, warm_up_goals
 from services.planning.pilot import Navigator, Request
 from services.planning.planners import PLANNERS, plan
 from services.planning.trajectory import Departure, trajectory
-from services.planning.voxels import MalformedMap, VoxelGrid, unpack
+from services.planning.voxels import MalformedMap, VoxelGrid, sound_map, unpack
 
 
 def warm_up() -> None:
     """Compile the kernels before there is a flight."""
     corner = np.array([12.0, 12.0, 6.0])
     unpack(b"", 1.0, np.zeros(3), corner)
+    warm_up_goals()
     # A map of which one octant is occupied: a start beside it is blocked, one farther off is not.
     grid = unpack(b"\x02\x00", 1.0, -corner, corner)
     for position in (np.array([0.5, -2.5, -2.5]), np.array([5.0, 5.0, 2.0])):
@@ -34,30 +41,53 @@ def warm_up() -> None:
 def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
     """Take up the newest verdict whenever free."""
     navigator: Navigator | None = None
+    aims: Goals | None = None
     with join(setup, meeting, vitals) as node:
-        check, odometry = node.input("collision_check"), node.input("odometry")
-        octomap, goal = node.input("map"), node.input("goal")
+        check, odometry = node.input("collision_check", verdict), node.input("odometry", state)
+        octomap, goal = node.input("map", sound_map), node.input("goal", sound_goal)
+        task = node.input("task", sound_task)
         node.ready()
-        latency_s = (node.slow_ns(node.spec.planner) + node.slow_ns("trajectory")) / 1e9
         for checked in node.spin(check):
-            found, here, known, aim = check.read(checked), odometry.latest, octomap.latest, goal.latest
-            if found is None or here is None or known is None or aim is None:
+            found, now, known, aim = check.read(checked), odometry.latest, octomap.latest, goal.latest
+            if found is None or now is None or known is None or aim is None:
                 continue
-            if navigator is None:
-                navigator = Navigator(xyz(aim.position), latency_s)
-            now = state(here)
-            request = navigator.consider(
-                node.now_ns / 1e9, now.position, now.velocity, now.yaw, verdict(found)
-            )
-            if request is None:
-                continue
+            if aims is None:
+                aims = goals(node.spec.mission, place(aim, task.latest), node.spec.area.swath_m)
             try:
+                heading = guided(node, aims, navigator, now.position, known)
+                if heading is None:
+                    continue
+                navigator = heading
+                request = navigator.consider(node.now_ns / 1e9, now.position, now.velocity, now.yaw, found)
+                if request is None:
+                    continue
                 grid = unpack(known.data.tobytes(), known.resolution, *request.box())
             except MalformedMap:
-                octomap.malformed += 1
+                node.count("malformed")
                 continue
-            answer = navigator.answer(request, make(node, request, grid))
-            node.put("trajectory", plan_message(header(node.now_ns, "map"), answer))
+            points, message = node.recovery.sound(
+                "trajectory", partial(make, node, request, grid), partial(announced, node, request)
+            )
+            message.failed = navigator.answer(request, points).failed
+            node.put("trajectory", message)
+
+
+def guided(
+    node: Node, aims: Goals, navigator: Navigator | None, position: Floats, octomap: Any
+) -> Navigator | None:
+    """The navigator on its way to the goal that is next; None if there is none: the vehicle stays."""
+    reached = False if navigator is None else navigator.arrival(node.now_ns / 1e9, position)
+    if reached is None:
+        return navigator
+    aims.look(position, octomap.data.tobytes(), octomap.resolution)
+    with node.kernel(GOAL_KERNELS[node.spec.mission]) if aims.chooses else nullcontext():
+        goal = aims.next(Standing(position, reached))
+    if goal is None:
+        return None
+    if navigator is None:
+        return Navigator(goal, (node.slow_ns(node.spec.planner) + node.slow_ns("trajectory")) / 1e9)
+    navigator.head_for(goal)
+    return navigator
 
 
 def make(node: Node, request: Request, grid: VoxelGrid) -> Floats | None:
@@ -71,3 +101,8 @@ def make(node: Node, request: Request, grid: VoxelGrid) -> Floats | None:
         motion = node.spec.motion
         limits = motion.speed_m_s, motion.acceleration_m_s2
         return trajectory(path, request.departure, grid, request.limit, *limits)
+
+
+def announced(node: Node, request: Request, points: Floats | None) -> Any:
+    """The message of what was made, the mission not being given up."""
+    return plan_message(header(node.now_ns, "map"), request.plan(points))

@@ -12,17 +12,12 @@ from typing import Literal
 import numpy as np
 
 from services.bus.arrays import NO_PLAN, Floats, Plan, Verdict
+from services.bus.safety import BRAKE_BELOW_S, DECELERATION_M_S2
 from services.planning.trajectory import Departure
 from services.planning.voxels import CLOSE, NEAR
 
 FAILURES_MAX = 40
 """Failed plans in a row after which the mission is given up: facts page, "replan"."""
-
-BRAKE_BELOW_S = 2.0
-"""A collision nearer than this is answered from a standstill: control brakes for it at the same time."""
-
-DECELERATION_M_S2 = 4.0
-"""At which the vehicle is expected to stop."""
 
 ALTITUDE_M = (1.0, 10.0)
 """Between which paths lie: facts page, "planner"."""
@@ -36,6 +31,10 @@ Resort = Literal["none", "squeeze", "retreat"]
 _NEXT_RESORT: Mapping[Resort, Resort] = MappingProxyType(
     {"none": "squeeze", "squeeze": "retreat", "retreat": "none"}
 )
+
+_SEQ_MAX = 2**32 - 1
+GOAL_FAILURES_MAX = 6
+"""Failed plans after which a goal is given up, if the mission has another: two rounds of resorts."""
 
 _STRAYED_M = 2.5  # farther off the trajectory than any gust or lag: it is not being flown
 _ARRIVED_M = 0.5
@@ -57,6 +56,11 @@ class Request:
     future_collision_seq: int
     limit: int
     retreat: bool
+
+    def plan(self, points: Floats | None) -> Plan:
+        """What answers the request: a trajectory, or None for no path."""
+        made = NO_PLAN.points if points is None else points
+        return Plan(self.trajectory_seq, self.future_collision_seq, made, failed=False)
 
     def box(self) -> tuple[Floats, Floats]:
         """Corners (3,) of the space to search."""
@@ -82,7 +86,29 @@ class Navigator:
         self._retreating = False
         self._failures = 0
         self._resort: Resort = "none"
+        self._goal_failures = 0
         self._trail: deque[Floats] = deque(maxlen=64)
+
+    def arrival(self, now_s: float, position: Floats) -> bool | None:
+        """Whether the goal was reached (True) or is to be given up (False); None while it is flown to.
+
+        It is given up when the trajectory has ended somewhere else, as near as one gets to a goal that
+        is blocked, or when too many plans failed.
+        """
+        points = self._points
+        if points is not None and now_s >= points[-1, 0] and not self._retreating:
+            if np.linalg.norm(position - self._goal) <= _ARRIVED_M:
+                return True
+            if np.linalg.norm(position - points[-1, 1:4]) <= _ARRIVED_M:
+                return False
+        return False if self._goal_failures >= GOAL_FAILURES_MAX else None
+
+    def head_for(self, goal: Floats) -> None:
+        """Plan to another goal from now on."""
+        if np.array_equal(goal, self._goal):
+            return
+        self._goal, self._points = goal, None
+        self._goal_failures, self._resort, self._retreating = 0, "none", False
 
     def consider(
         self, now_s: float, position: Floats, velocity: Floats, yaw: float, verdict: Verdict
@@ -95,7 +121,7 @@ class Navigator:
         self._remember(position)
         if not self._must_plan(now_s, position, verdict):
             return None
-        self._seq = (self._seq or verdict.trajectory_seq) + 1
+        self._seq = min((self._seq or verdict.trajectory_seq) + 1, _SEQ_MAX)
         refuge = self._refuge(position) if self._resort == "retreat" else None
         return Request(
             departure=self._departure(now_s, position, velocity, yaw, verdict),
@@ -114,6 +140,7 @@ class Navigator:
         """
         if points is None:
             self._failures += 1
+            self._goal_failures += 1
             if not request.departure.velocity.any():
                 self._resort = _NEXT_RESORT[self._resort]
         else:
@@ -122,12 +149,7 @@ class Navigator:
         self._points = points
         self._retreating = request.retreat
         self._answered = request.future_collision_seq
-        return Plan(
-            trajectory_seq=request.trajectory_seq,
-            future_collision_seq=request.future_collision_seq,
-            points=NO_PLAN.points if points is None else points,
-            failed=self._failures > FAILURES_MAX,
-        )
+        return request.plan(points)._replace(failed=self._failures > FAILURES_MAX)
 
     def _must_plan(self, now_s: float, position: Floats, verdict: Verdict) -> bool:
         points = self._points
@@ -144,7 +166,8 @@ class Navigator:
         if self._points is None:
             return True
         row = self._points[min(int(np.searchsorted(self._points[:, 0], now_s)), len(self._points) - 1)]
-        return bool(np.linalg.norm(position - row[1:4]) > _STRAYED_M)
+        # A trajectory that is not finite is one that nobody flies.
+        return not np.linalg.norm(position - row[1:4]) <= _STRAYED_M
 
     def _departure(
         self, now_s: float, position: Floats, velocity: Floats, yaw: float, verdict: Verdict

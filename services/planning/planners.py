@@ -14,12 +14,18 @@ from ompl import base, geometric
 from ompl import util as ompl_util
 
 from services.planning.polyline import shorten
+from services.planning.roadmap import shortest
 from services.planning.voxels import NEAR, OCCUPIED, VoxelGrid, edge_clear, level_at
 
 ompl_util.noOutputHandler()
 
 PLANNERS: Mapping[str, type] = MappingProxyType(
-    {"rrt": geometric.RRT, "rrt_connect": geometric.RRTConnect, "rrt_star": geometric.RRTstar}
+    {
+        "rrt": geometric.RRT,
+        "rrt_connect": geometric.RRTConnect,
+        "rrt_star": geometric.RRTstar,
+        "prm_star": geometric.PRMstar,
+    }
 )
 
 ITERATIONS = 600
@@ -37,6 +43,9 @@ above and below is all that it sees of where a climb leads."""
 
 NEAREST_OPEN_M = 6.0
 """How far from a blocked start or goal an open voxel is looked for."""
+
+_NO_WAY_M = 1e-6
+"""Nearer ends than these need no search; RRT* raises an error where both are one place."""
 
 # From metres to the space that OMPL searches.
 _METRIC: NDArray[np.float64] = np.array([1.0, 1.0, CLIMB_WEIGHT])
@@ -62,7 +71,9 @@ def plan(
     target = nearest_open(grid, goal, limit)
     if entry is None or target is None:
         return None
-    found = _search(planner, grid, entry, target, seed, limit, iterations)
+    found: NDArray[np.float64] | None = np.array([entry, target])
+    if np.linalg.norm(target - entry) > _NO_WAY_M:
+        found = _search(planner, grid, entry, target, seed, limit, iterations)
     if found is None:
         return None
     path = shorten(found, grid.levels, grid.origin, grid.resolution_m, limit)
@@ -115,18 +126,21 @@ def _search(
             state[axis] = float(point[axis])
     setup.setStartAndGoalStates(*states)
     algorithm = PLANNERS[planner](information)
+    setup.setPlanner(algorithm)
+    if isinstance(algorithm, geometric.PRMstar):
+        setup.setup()
+        found = shortest(algorithm, information, *ends, validator.clear, iterations)
+        return None if found is None else found / _METRIC
     algorithm.setRange(EDGE_M)
     if isinstance(algorithm, geometric.RRTstar):
         algorithm.setFocusSearch(True)  # only where the path that it has could still be shortened
-    setup.setPlanner(algorithm)
     budget = _Budget(iterations)
     setup.solve(base.PlannerTerminationCondition(budget.spent))
     if not setup.haveExactSolutionPath():
         return None
     path = setup.getSolutionPath()
     corners = [path.getState(i) for i in range(path.getStateCount())]
-    found: NDArray[np.float64] = np.array([[state[axis] for axis in range(3)] for state in corners])
-    return found / _METRIC
+    return np.array([[state[axis] for axis in range(3)] for state in corners]) / _METRIC
 
 
 class _EdgeValidator(base.MotionValidator):  # type: ignore[misc]
@@ -137,9 +151,11 @@ class _EdgeValidator(base.MotionValidator):  # type: ignore[misc]
         self._limit = limit
         self._grid = (grid.levels, grid.origin, grid.resolution_m)
 
-    def checkMotion(self, a: Any, b: Any) -> bool:  # noqa: N802 - OMPL's name
+    def clear(self, a: Any, b: Any) -> bool:
         z = (a[2] / CLIMB_WEIGHT, b[2] / CLIMB_WEIGHT)
         return bool(edge_clear(*self._grid, a[0], a[1], z[0], b[0], b[1], z[1], self._limit))
+
+    checkMotion = clear  # noqa: N815 - OMPL's name
 
     def state_clear(self, state: Any) -> bool:
         return bool(level_at(*self._grid, state[0], state[1], state[2] / CLIMB_WEIGHT) < self._limit)

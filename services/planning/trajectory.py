@@ -9,14 +9,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from services.bus.safety import SPEED_LIMIT_M_S
 from services.planning.polyline import subdivide
 from services.planning.spline import excess, minimum_snap, sample
 from services.planning.voxels import CLOSE, NEAR, OCCUPIED, VoxelGrid, edge_clear, level_at
 
-SPEED_LIMIT_M_S = 3.0
 ACCELERATION_LIMIT_M_S2 = 5.0
 MIDPOINTS_MAX = 40
-"""Insertions after which smoothing gives up. These three: facts page, "smoothing"."""
+"""Insertions after which smoothing gives up. Both: facts page, "smoothing"."""
 
 STEP_S = 0.25
 """Between points. The authors' 0.5 s let a chord of a turn stray 0.2 m from the curve."""
@@ -28,10 +28,13 @@ _CRUISE = 0.95  # of the speed limit, what the spline overshoots by is left free
 _PACE_M_S2 = 2.0  # acceleration of the first guess at the timing
 _LEG_M = 3.0  # longest distance between waypoints of the spline
 _CORNER_SPEED = 0.15  # of cruise, where the path turns back on itself
-_CHECK_S = 0.1
+_CHECK_S = 0.025  # so fine that nothing exceeds a limit between two checks
 _STRETCHES_MAX = 8
 _SLOWEST = 3.0  # times the first guess; a start that leads away from the path only gets worse with time
-_STRETCH_TOLERANCE = 1.01
+_STRETCH_TOLERANCE = 1.01  # in time, so 1.01 in speed and 1.01^2 in acceleration
+_AIM = (
+    0.98  # of the limits: with the tolerance still below them, also for what departs from such a trajectory
+)
 _TURN_FIRST_RAD = math.radians(35.0)  # beyond this off the nose, the camera would not see the way
 _SOME_WAY_M = 2.0
 _STANDING_M_S = 0.3
@@ -98,7 +101,8 @@ def _smooth(
     """
     waypoints = subdivide(path if len(path) > 1 else np.repeat(path, 2, axis=0), _LEG_M)
     waypoints[0] = departure.position
-    speed_limit = max(speed_limit, float(np.linalg.norm(departure.velocity)))
+    speed_limit = max(_AIM * speed_limit, float(np.linalg.norm(departure.velocity)))
+    acceleration_limit *= _AIM
     for _ in range(MIDPOINTS_MAX + 1):
         pace_m_s2 = min(_PACE_M_S2, acceleration_limit)
         durations = _pace(waypoints, departure.velocity, _CRUISE * speed_limit, pace_m_s2)

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from services.bus.messages import MalformedMessageError
+from services.bus.safety import BODY_RADIUS_M
 
 # Levels of a voxel, each implying those before it.
 FREE = 0
@@ -18,21 +22,35 @@ OCCUPIED = 3
 CLEARANCE_M = 2.25
 """Between a path and the centre of an occupied voxel. The authors' 2 m and half a voxel."""
 
-BODY_RADIUS_M = 1.5
-"""Of the safety body: facts page, "collision check"."""
-
 HIDDEN_M = 3.5
 """Unknown space this near to an occupied voxel is probably the inside of the obstacle or what it hides.
 A path that cuts closely behind a corner would meet it too late to stop."""
 
-_UNKNOWN, _SEEN_FREE, _SEEN_OCCUPIED = 0, 1, 2
+# What is known of a voxel.
+UNKNOWN, SEEN_FREE, SEEN_OCCUPIED = 0, 1, 2
 
 _DEPTH = 16  # levels of an octree in OctoMap
 _CENTRE = 1 << (_DEPTH - 1)  # key of the voxel whose lower corner is the world's origin
 
 
-class MalformedMap(ValueError):  # noqa: N818 - the message is malformed, not the program
-    """A payload that is no binary OctoMap stream."""
+RESOLUTIONS_M = (0.01, 10.0)
+MOST_VOXELS = 2**30
+"""Of a grid, rim included. A map finer than these, or a way longer, is none that can be planned in."""
+
+
+class MalformedMap(MalformedMessageError):  # noqa: N818 - the map is, not the program
+    """A message that holds no map to plan in."""
+
+
+def sound_map(message: Any) -> Any:
+    """The ``octomap_msgs/Octomap`` message itself.
+
+    :raises MalformedMap: if it is not a binary octree or has an absurd resolution.
+    """
+    finest, coarsest = RESOLUTIONS_M
+    if not (message.binary and message.id == "OcTree" and finest <= message.resolution <= coarsest):
+        raise MalformedMap(f"map: {message.id!r}, binary {message.binary}, resolution {message.resolution}")
+    return message
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,21 +87,39 @@ def unpack(
     Around each occupied voxel the levels fall off with the horizontal distance; above and below, one
     voxel's height is kept. Unknown space is free, unless it is close behind something.
 
-    :raises MalformedMap: if the data breaks off, goes on after the tree or branches too deep.
+    :raises MalformedMap: if the data breaks off, goes on after the tree or branches too deep, or if the box
+        is absurdly large.
     """
-    first = np.floor(low / resolution_m).astype(np.int64)
-    shape = np.ceil(high / resolution_m).astype(np.int64) - first
     margin = math.ceil(max(clearance_m, HIDDEN_M) / resolution_m)
-    seen = np.zeros(shape + 2 * margin, dtype=np.uint8)
-    data = np.frombuffer(payload, dtype=np.uint8)
-    if len(data) and (problem := _mark(data, first - margin + _CENTRE, seen)):
-        message = f"binary OctoMap of {len(data)} bytes: {problem}"
-        raise MalformedMap(message)
+    seen = known(payload, resolution_m, low, high, margin)
+    first = np.floor(low / resolution_m).astype(np.int64)
     # A position is up to half a diagonal off its voxel's centre.
     close_m = body_radius_m + resolution_m / math.sqrt(2.0)
     radii = np.array([clearance_m, close_m, HIDDEN_M]) / resolution_m
     origin = first.astype(np.float64) * resolution_m
     return VoxelGrid(_levels(seen, margin, radii), origin, resolution_m)
+
+
+def known(
+    payload: bytes, resolution_m: float, low: NDArray[np.float64], high: NDArray[np.float64], margin: int = 0
+) -> NDArray[np.uint8]:
+    """What the map knows of the voxels of :func:`unpack`'s box and ``margin`` more on each side.
+
+    (nx, ny, nz), each ``UNKNOWN``, ``SEEN_FREE`` or ``SEEN_OCCUPIED``.
+
+    :raises MalformedMap: as :func:`unpack` does.
+    """
+    # A comparison with NaN is false.
+    if not np.prod((high - low) / resolution_m + 2 * margin) <= MOST_VOXELS:
+        raise MalformedMap(f"no grid can be made from {low} to {high}")
+    first = np.floor(low / resolution_m).astype(np.int64) - margin
+    shape = np.ceil(high / resolution_m).astype(np.int64) + margin - first
+    seen = np.zeros(shape, dtype=np.uint8)
+    data = np.frombuffer(payload, dtype=np.uint8)
+    if len(data) and (problem := _mark(data, first + _CENTRE, seen)):
+        message = f"binary OctoMap of {len(data)} bytes: {problem}"
+        raise MalformedMap(message)
+    return seen
 
 
 @njit(cache=True)
@@ -108,7 +144,7 @@ def _mark(data: NDArray[np.uint8], first: NDArray[np.int64], seen: NDArray[np.ui
             continue
         next_child[depth] += 1
         label = bits[depth] >> 2 * child & 3
-        if label == _UNKNOWN:
+        if label == UNKNOWN:
             continue
         size = 1 << (_DEPTH - 1 - depth)
         for axis in range(3):
@@ -142,7 +178,7 @@ def _levels(seen: NDArray[np.uint8], margin: int, radii: NDArray[np.float64]) ->
     nx, ny, nz = seen.shape
     levels = np.zeros((nx, ny, nz), dtype=np.uint8)
     near, close, hidden = radii
-    for i, j, k in np.argwhere(seen == _SEEN_OCCUPIED):
+    for i, j, k in np.argwhere(seen == SEEN_OCCUPIED):
         top = _end_of_wall(seen, i, j, k, 1, hidden)
         bottom = _end_of_wall(seen, i, j, k, -1, hidden)
         for ii in range(max(i - margin, 0), min(i + margin + 1, nx)):
@@ -154,7 +190,7 @@ def _levels(seen: NDArray[np.uint8], margin: int, radii: NDArray[np.float64]) ->
                         levels[ii, jj, kk] = max(levels[ii, jj, kk], level)
                 if distance <= hidden:
                     for kk in range(bottom, top + 1):
-                        if seen[ii, jj, kk] == _UNKNOWN:
+                        if seen[ii, jj, kk] == UNKNOWN:
                             levels[ii, jj, kk] = max(levels[ii, jj, kk], NEAR)
         levels[i, j, k] = OCCUPIED
     return levels[margin : nx - margin, margin : ny - margin, margin : nz - margin].copy()
@@ -170,7 +206,7 @@ def _end_of_wall(seen: NDArray[np.uint8], i: int, j: int, k: int, step: int, hid
     ahead, behind = k + step, k - step
     if not (0 <= ahead < nz and 0 <= behind < nz):
         return k
-    if seen[i, j, behind] != _SEEN_OCCUPIED or seen[i, j, ahead] != _UNKNOWN:
+    if seen[i, j, behind] != SEEN_OCCUPIED or seen[i, j, ahead] != UNKNOWN:
         return k
     return min(max(k + step * int(hidden), 0), nz - 1)
 

@@ -63,7 +63,7 @@ def test_bad_input_is_one_clear_line_and_status_2(tmp_path: Path) -> None:
         (("evaluate", "--data", tmp_path / "rubbish", "--model", tmp_path / "model.json"), "truncated"),
         (("evaluate", "--data", tmp_path / "rubbish", "--scheme", "oracle"), "a.npz"),
         (("record", "--output", tmp_path / "x", "--world", "nowhere"), "nowhere"),
-        (("record", "--output", tmp_path / "x", "--fault", "teapot"), "teapot"),
+        (("record", "--output", tmp_path / "x", "--fault", "instruction:teapot"), "teapot"),
     ):
         answer = zenfi(*arguments)
         assert answer.returncode == 2, arguments

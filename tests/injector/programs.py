@@ -27,12 +27,24 @@ GENERAL = (
     *("rax", "rcx", "rdx", "rbx", "rsp", "rbp", "rsi", "rdi"),
     *(f"r{number}" for number in range(8, 16)),
 )
-HAS_AVX = " avx " in Path("/proc/cpuinfo").read_text()
+_FLAGS = Path("/proc/cpuinfo").read_text().split()
+HAS_AVX, HAS_AVX512 = "avx" in _FLAGS, "avx512bw" in _FLAGS
+VECTORS = 32 if HAS_AVX512 else 16
+WIDEST = "zmm" if HAS_AVX512 else "ymm" if HAS_AVX else "xmm"
+VECTOR_BITS = {"xmm": 128, "ymm": 256, "zmm": 512}
+MASKS = 8 if HAS_AVX512 else 0
 PATIENCE_S = 30.0
 
 _SIZE = 16384
 START, READY, GO, DONE, ROUNDS = 8192, 8196, 8200, 8204, 8208
-_GENERAL_IN, _GENERAL_OUT, _VECTOR_IN, _VECTOR_OUT = 8448, 8704, 9216, 10240
+_GENERAL_IN, _GENERAL_OUT, _MASK_IN, _MASK_OUT = 8448, 8704, 8960, 9088
+_VECTOR_IN, _VECTOR_OUT = 9216, 11264
+_VECTOR_SIZE = VECTOR_BITS[WIDEST] // 8
+_VECTOR_MOVES = {
+    "xmm": (Code.MOVUPS_XMM_XMMM128, Code.MOVUPS_XMMM128_XMM),
+    "ymm": (Code.VEX_VMOVUPS_YMM_YMMM256, Code.VEX_VMOVUPS_YMMM256_YMM),
+    "zmm": (Code.EVEX_VMOVUPS_ZMM_K1Z_ZMMM512, Code.EVEX_VMOVUPS_ZMMM512_K1Z_ZMM),
+}
 
 _CHILD = """
 import ctypes, mmap, sys, threading
@@ -56,21 +68,28 @@ def _register(name: str) -> RegisterType:
     return getattr(Register, name.upper())  # type: ignore[no-any-return]
 
 
-def _move_all(offset_general: int, offset_vector: int, *, load: bool) -> Iterator[Instruction]:
-    vector_load, vector_store = Code.MOVUPS_XMM_XMMM128, Code.MOVUPS_XMMM128_XMM
-    kind = "xmm"
-    if HAS_AVX:
-        vector_load, vector_store = Code.VEX_VMOVUPS_YMM_YMMM256, Code.VEX_VMOVUPS_YMMM256_YMM
-        kind = "ymm"
-    for index in range(16):
-        general, vector = _register(GENERAL[index]), _register(f"{kind}{index}")
-        place, wide = _at(offset_general + 8 * index), _at(offset_vector + 32 * index)
-        if load:
-            yield Instruction.create_reg_mem(Code.MOV_R64_RM64, general, place)
-            yield Instruction.create_reg_mem(vector_load, vector, wide)
-        else:
-            yield Instruction.create_mem_reg(Code.MOV_RM64_R64, place, general)
-            yield Instruction.create_mem_reg(vector_store, wide, vector)
+def _load_all() -> Iterator[Instruction]:
+    for index, name in enumerate(GENERAL):
+        place = _at(_GENERAL_IN + 8 * index)
+        yield Instruction.create_reg_mem(Code.MOV_R64_RM64, _register(name), place)
+    for index in range(VECTORS):
+        place = _at(_VECTOR_IN + _VECTOR_SIZE * index)
+        yield Instruction.create_reg_mem(_VECTOR_MOVES[WIDEST][0], _register(f"{WIDEST}{index}"), place)
+    for index in range(MASKS):
+        place = _at(_MASK_IN + 8 * index)
+        yield Instruction.create_reg_mem(Code.VEX_KMOVQ_KR_KM64, _register(f"k{index}"), place)
+
+
+def _dump_all() -> Iterator[Instruction]:
+    for index, name in enumerate(GENERAL):
+        place = _at(_GENERAL_OUT + 8 * index)
+        yield Instruction.create_mem_reg(Code.MOV_RM64_R64, place, _register(name))
+    for index in range(VECTORS):
+        place = _at(_VECTOR_OUT + _VECTOR_SIZE * index)
+        yield Instruction.create_mem_reg(_VECTOR_MOVES[WIDEST][1], place, _register(f"{WIDEST}{index}"))
+    for index in range(MASKS):
+        place = _at(_MASK_OUT + 8 * index)
+        yield Instruction.create_mem_reg(Code.VEX_KMOVQ_M64_KR, place, _register(f"k{index}"))
 
 
 def _wait_for(flag: int, label: int, spin: Sequence[Instruction]) -> Iterator[Instruction]:
@@ -97,9 +116,9 @@ def assemble(
     count = Instruction.create_mem_i32(Code.ADD_RM64_IMM32, _at(ROUNDS), 1)
     parts = [
         (_TOP, list(_wait_for(START, _TOP, [Instruction.create(Code.PAUSE)]))),
-        (0, [*_move_all(_GENERAL_IN, _VECTOR_IN, load=True), *before, _set(READY, 1)]),
+        (0, [*_load_all(), *before, _set(READY, 1)]),
         (_SPIN, list(_wait_for(GO, _SPIN, [*spin, count]))),
-        (0, [*after, *_move_all(_GENERAL_OUT, _VECTOR_OUT, load=False), _set(DONE, 1)]),
+        (0, [*after, *_dump_all(), _set(DONE, 1)]),
         (0, [Instruction.create_branch(Code.JMP_REL32_64, _TOP)]),
     ]
     encoder = BlockEncoder(64)
@@ -143,14 +162,23 @@ class Target:
     def _word(self, offset: int, size: int = 8) -> int:
         return int.from_bytes(self.page[offset : offset + size], "little")
 
-    def start(self, general: dict[str, int] | None = None, vector: dict[int, int] | None = None) -> None:
+    def start(
+        self,
+        general: dict[str, int] | None = None,
+        vector: dict[int, int] | None = None,
+        mask: dict[int, int] | None = None,
+    ) -> None:
         """Begin a round with these values of registers, 0 for the others; returns when it spins."""
         for index, name in enumerate(GENERAL):
             value = (general or {}).get(name, 0)
             self.page[_GENERAL_IN + 8 * index : _GENERAL_IN + 8 * index + 8] = value.to_bytes(8, "little")
-        for index in range(16):
-            content = (vector or {}).get(index, 0).to_bytes(32, "little")
-            self.page[_VECTOR_IN + 32 * index : _VECTOR_IN + 32 * index + 32] = content
+        for index in range(VECTORS):
+            at = _VECTOR_IN + _VECTOR_SIZE * index
+            content = (vector or {}).get(index, 0).to_bytes(_VECTOR_SIZE, "little")
+            self.page[at : at + _VECTOR_SIZE] = content
+        for index in range(MASKS):
+            at = _MASK_IN + 8 * index
+            self.page[at : at + 8] = (mask or {}).get(index, 0).to_bytes(8, "little")
         self.page[READY] = self.page[DONE] = self.page[GO] = 0
         self.page[START] = 1
         self.wait(READY)
@@ -195,8 +223,14 @@ class Target:
         return {name: self._word(_GENERAL_OUT + 8 * index) for index, name in enumerate(GENERAL)}
 
     def vector(self) -> dict[int, int]:
-        """The dumped vector registers (256 bits with AVX, else 128)."""
-        return {index: self._word(_VECTOR_OUT + 32 * index, 32) for index in range(16)}
+        """The dumped vector registers, as many and as wide as the processor has them."""
+        return {
+            index: self._word(_VECTOR_OUT + _VECTOR_SIZE * index, _VECTOR_SIZE) for index in range(VECTORS)
+        }
+
+    def mask(self) -> dict[int, int]:
+        """The dumped mask registers; none without AVX-512."""
+        return {index: self._word(_MASK_OUT + 8 * index) for index in range(MASKS)}
 
     def close(self) -> None:
         self.process.kill()

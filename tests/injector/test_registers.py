@@ -2,21 +2,63 @@
 
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
 
 import pytest
-from iced_x86 import Code, Instruction
+from iced_x86 import Code, Instruction, Register
 
+from injector import xstate
+from injector.architecture import HOST, AbsentError, require
 from injector.freeze import Tracees
+from injector.ptrace import NT_PRSTATUS, read_registers
 from injector.registers import UnknownRegisterError
 from injector.x86_64 import GENERAL as PARTS
-from injector.x86_64 import X8664Registers
-from tests.injector.programs import GENERAL, HAS_AVX, assemble, running
+from injector.x86_64 import STATUS_FLAGS, X8664Registers, register_classes
+from services.bus.mission import FaultSpec
+from tests.injector.programs import (
+    GENERAL,
+    HAS_AVX,
+    HAS_AVX512,
+    MASKS,
+    VECTOR_BITS,
+    VECTORS,
+    WIDEST,
+    Target,
+    assemble,
+    running,
+)
+from tests.injector.test_strike import held, step_to
 
 pytestmark = pytest.mark.usefixtures("may_inject")
 
-WIDTH = 256 if HAS_AVX else 128
+PRESENT = {"xmm": True, "ymm": HAS_AVX, "zmm": HAS_AVX512, "k": HAS_AVX512}
 GENERAL_VALUES = {name: 0x0123456789ABCDEF * (index + 1) % 2**64 for index, name in enumerate(GENERAL)}
-VECTOR_VALUES = {number: (0x1F << 251 | 0x9E3779B97F4A7C15 * (number + 1)) % 2**WIDTH for number in range(16)}
+VECTOR_VALUES = {
+    number: (0x1F << VECTOR_BITS[WIDEST] - 5 | 0x9E3779B97F4A7C15**5 * (number + 1))
+    % 2 ** VECTOR_BITS[WIDEST]
+    for number in range(VECTORS)
+}
+MASK_VALUES = {number: 0x9E3779B97F4A7C15 * (number + 3) % 2**64 for number in range(MASKS)}
+
+
+@contextmanager
+def standing(target: Target) -> Iterator[None]:
+    with Tracees() as tracees:
+        tracees.seize([target.pid])
+        tracees.stop_all()
+        yield
+
+
+def flip(target: Target, name: str, bit: int, value: int) -> None:
+    """Flip a bit of a register that has a value, and read it back."""
+    registers = X8664Registers(target.pid)
+    assert registers.get(name) == value
+    registers.put(name, value ^ 1 << bit)
+    registers.commit()
+    assert X8664Registers(target.pid).get(name) == value ^ 1 << bit
 
 
 def test_every_byte_of_every_general_register() -> None:
@@ -38,38 +80,138 @@ def test_every_byte_of_every_general_register() -> None:
             assert target.general() == {name: GENERAL_VALUES[name] ^ flip for name, flip in flips.items()}
 
 
-def test_every_byte_of_every_vector_register() -> None:
-    kind = "ymm" if HAS_AVX else "xmm"
+@pytest.mark.parametrize("kind", ["xmm", "ymm", "zmm"])
+def test_every_byte_of_every_vector_register(kind: str) -> None:
+    width = VECTOR_BITS[kind]
     with running(assemble()) as target:
-        for byte in range(WIDTH // 8):
-            flips = {number: 1 << 8 * byte + number % 8 for number in range(16)}
-            target.start(GENERAL_VALUES, VECTOR_VALUES)
-            with Tracees() as tracees:
-                tracees.seize([target.pid])
-                tracees.stop_all()
-                for number, flip in flips.items():
-                    registers = X8664Registers(target.pid)
-                    assert registers.get(f"{kind}{number}") == VECTOR_VALUES[number]
-                    registers.put(f"{kind}{number}", VECTOR_VALUES[number] ^ flip)
-                    registers.commit()
-                    assert X8664Registers(target.pid).get(f"{kind}{number}") == VECTOR_VALUES[number] ^ flip
+        target.start()
+        if not PRESENT[kind]:
+            refused(target, f"{kind}0")
+            return
+        target.finish()
+        for byte in range(width // 8):
+            # A different bit of the byte in each register.
+            bits = {number: 8 * byte + number % 8 for number in range(VECTORS)}
+            target.start(GENERAL_VALUES, VECTOR_VALUES, MASK_VALUES)
+            with standing(target):
+                for number, bit in bits.items():
+                    flip(target, f"{kind}{number}", bit, VECTOR_VALUES[number] % 2**width)
             target.finish()
-            assert target.vector() == {number: VECTOR_VALUES[number] ^ flip for number, flip in flips.items()}
-            assert target.general() == GENERAL_VALUES
+            assert target.vector() == {
+                number: VECTOR_VALUES[number] ^ 1 << bit for number, bit in bits.items()
+            }
+            assert (target.general(), target.mask()) == (GENERAL_VALUES, MASK_VALUES)
 
 
-@pytest.mark.skipif(not HAS_AVX, reason="this processor has no ymm registers")
-def test_the_upper_half_of_a_vector_register_that_was_never_used_arrives() -> None:
-    with running(assemble(before=[Instruction.create(Code.VEX_VZEROUPPER)])) as target:
-        target.start()  # the upper halves are in their initial state
-        with Tracees() as tracees:
-            tracees.seize([target.pid])
-            tracees.stop_all()
+def test_every_byte_of_every_mask_register() -> None:
+    with running(assemble()) as target:
+        target.start()
+        if not PRESENT["k"]:
+            refused(target, "k0")
+            return
+        target.finish()
+        for byte in range(8):
+            bits = {number: 8 * byte + number for number in range(MASKS)}
+            target.start(GENERAL_VALUES, VECTOR_VALUES, MASK_VALUES)
+            with standing(target):
+                for number, bit in bits.items():
+                    flip(target, f"k{number}", bit, MASK_VALUES[number])
+            target.finish()
+            assert target.mask() == {number: MASK_VALUES[number] ^ 1 << bit for number, bit in bits.items()}
+            assert (target.general(), target.vector()) == (GENERAL_VALUES, VECTOR_VALUES)
+
+
+def refused(target: Target, name: str) -> None:
+    with standing(target), pytest.raises(UnknownRegisterError, match=name):
+        X8664Registers(target.pid).get(name)
+
+
+@pytest.mark.parametrize("bit", STATUS_FLAGS)
+@pytest.mark.parametrize("was", [0, 1])
+def test_every_status_flag_arrives(bit: int, was: int) -> None:
+    """The program shows CF, PF, AF, ZF and SF by lahf, OF by seto, and DF by which way scasb goes."""
+    shows = [
+        Instruction.create(Code.NOPD),
+        Instruction.create(Code.LAHF),
+        Instruction.create_reg(Code.SETO_RM8, Register.AL),
+        Instruction.create_scasb(64),
+    ]
+    with running(assemble(after=shows)) as target:
+        target.start({"rdi": target.address + 100})
+        with held(target) as (tracees, thread, process):
+            target.go()
+            step_to("nop", tracees, thread, process)
             registers = X8664Registers(target.pid)
-            registers.put("ymm5", 1 << 200)
+            assert registers.get("rflags") & ~sum(1 << one for one in STATUS_FLAGS) == 0
+            registers.put("rflags", (registers.get("rflags") | 1 << bit) if was else 0)
+            registers.commit()
+            value = X8664Registers(target.pid).get("rflags")
+            flip(target, "rflags", bit, value)
+        target.finish()
+        rax, rdi = target.general()["rax"], target.general()["rdi"]
+        shown = (rax >> 8 & 0b11010101) | (rax & 1) << 11 | (rdi == target.address + 99) << 10
+        assert shown == value ^ 1 << bit
+        assert shown >> bit & 1 == 1 - was
+
+
+def test_the_rest_of_the_flags_register_is_not_the_faults() -> None:
+    status = sum(1 << one for one in STATUS_FLAGS)
+    with running(assemble()) as target:
+        target.start(GENERAL_VALUES)
+        with standing(target):
+            rest = flags_register(target.pid) & ~status
+            for value in (2**64 - 1, 0):  # the last, as the direction flag would turn what comes
+                registers = X8664Registers(target.pid)
+                registers.put("rflags", value)
+                registers.commit()
+                assert X8664Registers(target.pid).get("rflags") == value & status
+                assert flags_register(target.pid) == rest | value & status
+        target.finish()
+        assert target.general() == GENERAL_VALUES
+
+
+def flags_register(tid: int) -> int:
+    """All of it: the 19th of 27 words of struct user_regs_struct."""
+    return int.from_bytes(read_registers(tid, NT_PRSTATUS, 27 * 8)[18 * 8 : 19 * 8], "little")
+
+
+def test_the_upper_half_of_a_vector_register_that_was_never_used_arrives() -> None:
+    clear = [Instruction.create(Code.VEX_VZEROUPPER)] if HAS_AVX else []
+    bit = VECTOR_BITS[WIDEST] - 50
+    with running(assemble(before=clear)) as target:
+        target.start()  # the upper halves are in their initial state
+        with standing(target):
+            registers = X8664Registers(target.pid)
+            registers.put(f"{WIDEST}5", 1 << bit)
             registers.commit()
         target.finish()
-        assert target.vector() == {number: 1 << 200 if number == 5 else 0 for number in range(16)}
+        assert target.vector() == {number: 1 << bit if number == 5 else 0 for number in range(VECTORS)}
+
+
+def test_the_classes_of_this_processor_are_those_that_its_registers_show() -> None:
+    with running(assemble()) as target:
+        target.start()
+        with standing(target):
+            shown = HAS_AVX512
+            assert (xstate.enabled() >> xstate.OPMASK & 1 == 1) == shown
+            assert ("mask" in HOST.classes()) == shown
+            if shown:
+                assert X8664Registers(target.pid).get("k0") == 0
+
+
+def test_a_class_that_the_processor_lacks_is_refused_in_one_line() -> None:
+    plain = replace(HOST, classes=lambda: register_classes(enabled=0b111))
+    with pytest.raises(AbsentError, match=r"^register class mask absent on this CPU: [^\n]+$"):
+        require(FaultSpec(target="pid", register_class="mask"), plain)
+    full = replace(HOST, classes=lambda: register_classes(enabled=0b11100111))
+    require(FaultSpec(target="pid", register_class="mask"), full)
+    require(FaultSpec(target="pid", register_class="any"), plain)
+
+
+@pytest.mark.parametrize(("fields", "named"), [({"bit_numbers": (3,)}, "bit 3"), ({"bits": 8}, "7 status")])
+def test_what_is_no_status_flag_is_refused_in_one_line(fields: dict[str, Any], named: str) -> None:
+    with pytest.raises(AbsentError, match=named):
+        require(FaultSpec(target="pid", register_class="flags", **fields))
 
 
 def test_a_part_changes_nothing_beside_it() -> None:

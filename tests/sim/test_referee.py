@@ -5,7 +5,7 @@ import pytest
 
 from services.bus.outcome import MissionResult
 from sim.airframe import airframe
-from sim.referee import ARRIVAL_SPEED_M_S, GOAL_RADIUS_M, judge
+from sim.referee import ARRIVAL_SPEED_M_S, GOAL_RADIUS_M, arrived, judge
 from sim.vehicle import STEP_S, Vehicle
 from tests.sim.worlds import world_with
 
@@ -20,12 +20,11 @@ def verdict(
     contact: bool = False,
     no_path: bool = False,
 ) -> MissionResult | None:
+    position, velocity = GOAL - np.array([0.6, 0.0, 0.8]) * off_m, np.array([0.0, 0.8, -0.6]) * speed
     return judge(
-        GOAL,
         200.0,
         time_s=time_s,
-        position=GOAL - np.array([0.6, 0.0, 0.8]) * off_m,
-        velocity=np.array([0.0, 0.8, -0.6]) * speed,
+        accomplished=arrived(GOAL, position, velocity),
         contact=contact,
         no_path=no_path,
     )

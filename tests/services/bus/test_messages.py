@@ -1,11 +1,15 @@
 """Messages survive the wire, and nonsense on it is refused."""
 
+import contextlib
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from services.bus import session
 from services.bus.messages import CollisionCheck, MalformedMessageError, decode, encode, header, type_hash
-from services.bus.topics import PLANNER, RECORDED, STAGES, TOPICS, published_by
+from services.bus.topics import HORIZON_TYPE, PLANNER, RECORDED, STAGES, TOPICS, published_by
 from services.kernels import KERNELS
 
 TYPE = TOPICS["collision_check"].type
@@ -31,6 +35,24 @@ def test_truncated_bytes_are_refused(length: int) -> None:
     sent = CollisionCheck(header(0, "map"), 1, 1, collision=False, time_to_collision=np.inf)
     with pytest.raises(MalformedMessageError, match="CollisionCheck"):
         decode(encode(sent, TYPE)[:length], TYPE)
+
+
+@given(st.sampled_from([topic.type for topic in RECORDED] + [HORIZON_TYPE]), st.binary(max_size=400))
+def test_any_bytes_are_a_message_or_refused(message_type: str, data: bytes) -> None:
+    for payload in (data, b"\x00\x01\x00\x00" + data):
+        with contextlib.suppress(MalformedMessageError):
+            decode(payload, message_type)
+
+
+@pytest.mark.parametrize("topic", ["depth", "odometry", "trajectory", "map"])
+def test_a_recorded_message_is_refused_wherever_it_breaks_off(topic: str) -> None:
+    kernel = {"depth": "octomap", "odometry": "octomap", "trajectory": "pid", "map": "rrt"}[topic]
+    name = topic if topic in ("trajectory", "map") else f"{topic}_0"
+    payload = KERNELS[kernel].sample()[name].tobytes()
+    decode(payload, TOPICS[topic].type)
+    for length in range(0, len(payload), 37):
+        with pytest.raises(MalformedMessageError):
+            decode(payload[:length], TOPICS[topic].type)
 
 
 def test_keys_and_attachments_are_rmw_zenohs() -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from pydantic import ValidationError
 
-from services.bus.mission import MissionSpec
+from deploy.check import one_line
+from services.bus.mission import FaultSpec, MissionSpec
 from services.bus.profiles import PROFILES
 
 
@@ -65,3 +68,53 @@ def test_a_specification_survives_json_with_its_definitions() -> None:
 def test_a_bad_value_is_refused_by_name(fields: dict[str, object], says: str) -> None:
     with pytest.raises(ValidationError, match=says):
         MissionSpec.model_validate(fields)
+
+
+STUCK = {"model": "stuck_at", "stuck_value": 1, "stuck_instructions": 10}
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"model": "stuck_at"}, "stuck_value"),
+        ({"model": "stuck_at", "stuck_value": 1}, "stuck_instructions"),
+        ({**STUCK, "stuck_value": 2}, "stuck_value"),
+        ({**STUCK, "stuck_instructions": 0}, "stuck_instructions"),
+        ({"stuck_value": 0, "stuck_instructions": 3}, "not bitflip"),
+        ({"model": "opcode", "register_class": "gpr"}, "register_class"),
+        ({"model": "opcode", "operand": "source"}, "operand"),
+        ({"model": "opcode", "field": "sign"}, "field"),
+        ({"model": "memory", "register_class": "vector"}, "register_class"),
+        ({"field": "exponent", "register_class": "flags"}, "floating-point"),
+        ({"field": "sign", "bits": 2}, "sign has at most 1"),
+        ({"field": "exponent", "bits": 12}, "exponent has at most 11"),
+        ({"field": "mantissa", "bit_numbers": (3,)}, "leave out one"),
+        ({"bit_numbers": ()}, "bit_numbers"),
+        ({"bit_numbers": (3, 3)}, "distinct"),
+        ({"bit_numbers": (512,)}, "512"),
+        ({"bit_numbers": (3, 4), "bits": 3}, "leave out bits"),
+        ({"bits": 0}, "bits"),
+        ({"bits": 65}, "bits"),
+        ({"register_class": "x87"}, "register_class"),
+        ({"scope": "module"}, "scope"),
+    ],
+)
+def test_a_fault_that_makes_no_sense_is_refused_in_one_line(fields: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValidationError, match=says) as refusal:
+        FaultSpec.model_validate({"target": "pid", **fields})
+    assert "\n" not in one_line(refusal.value)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        STUCK,
+        {**STUCK, "field": "exponent", "register_class": "vector", "bits": 11},
+        {"model": "memory", "field": "mantissa", "operand": "destination", "bits": 52},
+        {"model": "opcode", "bit_numbers": (3, 9)},
+        {"register_class": "mask", "scope": "kernel", "model": "none"},
+    ],
+)
+def test_a_fault_survives_json(fields: dict[str, Any]) -> None:
+    fault = FaultSpec.model_validate({"target": "pid", **fields})
+    assert FaultSpec.model_validate_json(fault.model_dump_json()) == fault

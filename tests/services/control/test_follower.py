@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.control.follower import BRAKE_BELOW_S, WAYPOINT_FIELDS, Follower, waypoints
+from services.bus.safety import BRAKE_BELOW_S
+from services.control.follower import WAYPOINT_FIELDS, Follower, waypoints
 
 HERE = np.array([0.0, 0.0, 3.0])
 FAST = np.array([3.0, 0.0, 0.0])
@@ -61,6 +62,17 @@ def test_a_trajectory_older_than_the_newest_collision_is_refused(flying: Followe
     assert flying.take_trajectory(3, 2, eastwards())
 
 
+def test_a_trajectory_older_than_the_one_that_was_checked_is_refused(flying: Follower) -> None:
+    flying.take_verdict(1.0, 4, 0, math.inf)
+    assert not flying.take_trajectory(3, 0, eastwards())
+    assert flying.take_trajectory(4, 0, eastwards())
+    # One absurd verdict does not last.
+    flying.take_verdict(1.3, 2**32 - 1, 0, math.inf)
+    assert not flying.take_trajectory(5, 0, eastwards())
+    flying.take_verdict(1.6, 4, 0, math.inf)
+    assert flying.take_trajectory(5, 0, eastwards())
+
+
 def test_it_brakes_for_a_near_collision_and_waits_for_an_answer(flying: Follower) -> None:
     flying.take_verdict(1.0, 1, 1, 1.0)
     assert forward_speed(flying, 1.7, 5.1) > 2.5
@@ -113,3 +125,33 @@ def test_the_tracked_waypoint_is_the_next_row_with_the_row_behind_it() -> None:
         assert found.shape == (2, WAYPOINT_FIELDS)
         assert (found[0, 1], found[1, 1], found[1, 0]) == (behind, ahead, duration)
     np.testing.assert_array_equal(waypoints(rows[:1], 2.0)[:, 1], (10.0, 10.0))
+
+
+def test_a_skipped_waypoint_is_not_flown_to(flying: Follower) -> None:
+    bad = eastwards()
+    bad[5, 2] = 40.0  # far to the left, a quarter of a second ahead
+    assert flying.take_trajectory(2, 0, bad)
+    position, velocity = np.array([3.3, 0.0, 3.0]), np.array([3.0, 0.0, 0.0])
+    before = flying.state.copy()
+    aside = flying.command(1.1, position, velocity, 0.0, 0.04)
+    assert flying.skip_waypoint(1.1)
+    assert np.array_equal(flying.state, before)
+    ahead = flying.command(1.1, position, velocity, 0.0, 0.04)
+    assert abs(aside[1]) > 1.0
+    assert ahead == pytest.approx([3.0, 0.0, 0.0, 0.0], abs=0.05)
+
+
+def test_without_a_next_waypoint_it_stops(flying: Follower) -> None:
+    assert not flying.skip_waypoint(19.9)
+    forward_speed(flying, 19.9, 59.7)
+    assert forward_speed(flying, 20.4, 60.5, 1.0) < 1.5
+    assert not flying.skip_waypoint(20.4)
+
+
+def test_skipping_changes_no_trajectory_but_the_one_that_is_flown(flying: Follower) -> None:
+    newest = eastwards(2.0)
+    assert flying.take_trajectory(2, 0, newest)
+    assert flying.skip_waypoint(1.0)
+    assert np.array_equal(newest, eastwards(2.0))
+    forward_speed(flying, 2.5, 1.5)
+    assert len(flying.curve(2.6, HERE, FAST, 0.0)) == len(newest)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.control.pid import SPEED_LIMIT_M_S, STATE_SIZE, YAW_RATE_LIMIT_RAD_S, pid, state_at, stopping
+from services.bus.safety import SPEED_LIMIT_M_S
+from services.control.pid import STATE_SIZE, YAW_RATE_LIMIT_RAD_S, pid, state_at, stopping
 
 PERIOD_S = 0.04
 STILL = np.zeros(3)

@@ -76,3 +76,21 @@ def test_points_that_are_not_finite_are_no_measurement(nonsense: float) -> None:
     clean.insert(wall(8.25), ORIGIN)
     dirty.insert(np.vstack([wall(8.25), [[nonsense, 0.0, 3.0]], [[5.0, nonsense, 3.0]]]), ORIGIN)
     assert dirty.to_binary() == clean.to_binary()
+
+
+def test_an_empty_cloud_changes_nothing() -> None:
+    occupancy = OccupancyMap()
+    occupancy.insert(wall(8.25), ORIGIN)
+    before = occupancy.to_stream()
+    occupancy.insert(np.empty((0, 3), dtype=np.float32), ORIGIN)
+    assert occupancy.to_stream() == before
+
+
+@pytest.mark.parametrize("absurd", [1e4, 1e9, 1e38])
+def test_points_and_places_out_of_this_world_are_survived(absurd: float) -> None:
+    occupancy = OccupancyMap()
+    occupancy.insert(np.full((3, 3), absurd, dtype=np.float32), ORIGIN)
+    occupancy.insert(wall(8.25), np.array([absurd, 0.0, 3.0]))
+    occupancy.insert(wall(8.25), ORIGIN)
+    assert occupancy.occupied(AT).all()
+    assert not occupancy.occupied(BEHIND).any()

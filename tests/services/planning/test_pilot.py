@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from services.bus.arrays import Verdict
-from services.planning.pilot import BRAKE_BELOW_S, FAILURES_MAX, Navigator, Request
+from services.bus.safety import BRAKE_BELOW_S
+from services.planning.pilot import FAILURES_MAX, GOAL_FAILURES_MAX, Navigator, Request
 from services.planning.voxels import CLOSE, NEAR
 
 HERE, GOAL = np.array([0.0, 0.0, 3.0]), np.array([50.0, 0.0, 3.0])
@@ -101,6 +102,17 @@ def test_a_vehicle_that_strayed_gets_a_new_trajectory(flying: Navigator) -> None
     assert request.departure.position[1] == pytest.approx(4.0)
 
 
+def test_a_trajectory_that_is_no_number_is_replaced() -> None:
+    navigator = Navigator(GOAL, LATENCY_S)
+    navigator.answer(asked(navigator, 0.5, HERE, 0), np.full((40, 12), math.nan))
+    assert consider(navigator, 3.0, at(3.0), Verdict(2.9, 1, 0, math.inf)) is not None
+
+
+def test_the_count_of_trajectories_stays_in_its_field() -> None:
+    last = 2**32 - 1
+    assert asked(Navigator(GOAL, LATENCY_S), 0.5, HERE, last, fcs=last).trajectory_seq == last
+
+
 def test_a_trajectory_that_ended_short_of_the_goal_is_followed_by_another(flying: Navigator) -> None:
     verdict = Verdict(16.4, 1, 0, math.inf)
     assert consider(flying, 16.5, at(16.0), verdict, STILL) is not None
@@ -173,3 +185,40 @@ def test_the_box_to_search_holds_start_and_goal_and_the_allowed_heights() -> Non
     assert (low[:2] < HERE[:2]).all()
     assert (high[:2] > GOAL[:2]).all()
     assert (low[2], high[2]) == (1.0, 10.0)
+
+
+def test_a_goal_is_reached_at_the_end_of_its_trajectory_and_missed_where_that_ends_elsewhere() -> None:
+    navigator = Navigator(at(16.0), LATENCY_S)
+    assert navigator.arrival(0.5, HERE) is None
+    navigator.answer(asked(navigator, 0.5, HERE, 0), eastwards(1.0))
+    assert navigator.arrival(9.0, at(9.0)) is None
+    assert navigator.arrival(16.1, at(16.0) + 0.2) is True
+    short = Navigator(GOAL, LATENCY_S)
+    short.answer(asked(short, 0.5, HERE, 0), eastwards(1.0))
+    assert short.arrival(16.1, at(16.0)) is False
+    assert short.arrival(16.1, at(13.0)) is None  # strayed: planned anew, not given up
+
+
+def test_a_goal_is_given_up_after_some_failures_and_the_next_is_planned_to_at_once() -> None:
+    navigator = Navigator(GOAL, LATENCY_S)
+    for t in range(GOAL_FAILURES_MAX):
+        assert navigator.arrival(t, HERE) is None
+        assert not navigator.answer(asked(navigator, t, HERE, 0), None).failed
+    assert navigator.arrival(50.0, HERE) is False
+    navigator.head_for(-GOAL)
+    assert navigator.arrival(50.0, HERE) is None
+    request = asked(navigator, 50.0, HERE, GOAL_FAILURES_MAX)
+    assert list(request.goal) == list(-GOAL)
+    assert (request.limit, request.retreat) == (NEAR, False)
+
+
+def test_the_next_goal_is_planned_to_from_where_the_last_was_reached() -> None:
+    navigator = Navigator(at(16.0), LATENCY_S)
+    navigator.answer(asked(navigator, 0.5, HERE, 0), eastwards(1.0))
+    verdict = Verdict(16.0, 1, 0, math.inf)
+    assert consider(navigator, 16.1, at(16.0), verdict, STILL) is None
+    navigator.head_for(HERE)
+    request = consider(navigator, 16.1, at(16.0), verdict, STILL)
+    assert request is not None
+    assert list(request.goal) == list(HERE)
+    assert list(request.departure.position) == list(at(16.0))

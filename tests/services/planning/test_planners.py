@@ -1,6 +1,8 @@
 """Every planner finds clear paths, the same ones for the same seed, and says so when there is none."""
 
 import itertools
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -99,6 +101,16 @@ def test_a_blocked_goal_is_approached(planner: str) -> None:
     assert_clear(path, walled)
 
 
+@every_planner
+@pytest.mark.parametrize("gap_m", [0.0, 1e-15, 1e-9, 1e-3])
+def test_where_the_goal_is_already_there_is_nothing_to_search(planner: str, gap_m: float) -> None:
+    goal = GOAL + np.array([gap_m, 0.0, 0.0])
+    path = plan(planner, open_space(), GOAL, goal, 1)
+    assert path is not None
+    assert path[-1] == pytest.approx(goal)
+    assert length(path) == pytest.approx(gap_m, rel=0.02, abs=1e-12)
+
+
 def test_no_place_near_the_goal_no_path() -> None:
     block = grid(box((20.0, -10.0, 0.0), (40.0, 10.0, 11.0)))
     assert plan("rrt_connect", block, START, GOAL, 1) is None
@@ -126,6 +138,30 @@ def test_rrt_star_is_worth_its_name() -> None:
         paths = [plan(planner, forest, START, GOAL, seed) for seed in range(1, 9)]
         mean[planner] = np.mean([length(path) for path in paths if path is not None])
     assert mean["rrt_star"] < mean["rrt"]
+
+
+def test_prm_star_repeats_under_load_and_starts_no_thread() -> None:
+    """OMPL's own way to ask a roadmap looks for solutions in a second thread."""
+    walled, threads = wall_with_ends(), len(list(Path("/proc/self/task").iterdir()))
+    calm = plan("prm_star", walled, START, GOAL, 5)
+    with ThreadPoolExecutor(2) as pool:
+        load = [pool.submit(sum, range(20_000_000)) for _ in range(2)]
+        loaded = plan("prm_star", walled, START, GOAL, 5)
+        for one in load:
+            one.result()
+    assert calm is not None
+    assert loaded is not None
+    assert np.array_equal(calm, loaded)
+    assert len(list(Path("/proc/self/task").iterdir())) == threads
+
+
+def test_more_samples_make_a_roadmap_no_worse() -> None:
+    walled = wall_with_ends()
+    means = []
+    for samples in (150, 900):
+        paths = [plan("prm_star", walled, START, GOAL, seed, iterations=samples) for seed in range(1, 9)]
+        means.append(np.mean([length(path) for path in paths if path is not None]))
+    assert means[1] < means[0]
 
 
 def test_nothing_leads_through_what_is_occupied() -> None:

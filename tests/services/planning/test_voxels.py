@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from services.bus.messages import Octomap, header
 from services.planning.voxels import (
     CLOSE,
     FREE,
@@ -13,6 +14,7 @@ from services.planning.voxels import (
     OCCUPIED,
     MalformedMap,
     VoxelGrid,
+    sound_map,
     unpack,
 )
 from tests.services.planning.maps import HIGH, LOW, RESOLUTION_M, box, grid, open_space, payload, tree
@@ -94,6 +96,27 @@ def test_a_stream_that_breaks_off_or_goes_on_is_refused() -> None:
         unpack(whole + b"\x00\x00", RESOLUTION_M, LOW, HIGH)
     with pytest.raises(MalformedMap, match="branches"):
         unpack(b"\x03\x00" * 17, RESOLUTION_M, LOW, HIGH)
+
+
+@pytest.mark.parametrize("resolution_m", [0.0, -0.5, np.nan, np.inf, 1e-12, 1e12])
+def test_a_map_of_absurd_resolution_is_refused(resolution_m: float) -> None:
+    message = Octomap(
+        header(0, "map"), binary=True, id="OcTree", resolution=resolution_m, data=np.zeros(0, np.int8)
+    )
+    with pytest.raises(MalformedMap, match="resolution"):
+        sound_map(message)
+
+
+@pytest.mark.parametrize(("binary", "kind"), [(False, "OcTree"), (True, "ColorOcTree"), (True, "")])
+def test_a_map_of_another_kind_is_refused(binary: bool, kind: str) -> None:
+    message = Octomap(header(0, "map"), binary=binary, id=kind, resolution=0.5, data=np.zeros(0, np.int8))
+    with pytest.raises(MalformedMap, match="map"):
+        sound_map(message)
+
+
+def test_a_box_that_no_memory_holds_is_refused() -> None:
+    with pytest.raises(MalformedMap, match="grid"):
+        unpack(b"", 0.5, LOW, np.array([1e5, 1e5, 10.0]))
 
 
 @given(st.binary(min_size=1, max_size=200))

@@ -10,9 +10,10 @@ import pytest
 from iced_x86 import Code, Instruction, Register
 
 from injector.freeze import Thread, Tracees
-from injector.inject import SITES, Strike, stand, step, strike
+from injector.inject import Strike, stand, step
 from injector.process import Identity, Process
 from injector.registers import Registers
+from injector.strike import SITES, strike
 from services.bus.mission import FaultSpec
 from services.bus.rng import generator
 from tests.injector.programs import Target, assemble, running
@@ -50,6 +51,10 @@ def step_to(text: str, tracees: Tracees, thread: Thread, process: Process) -> Re
     raise AssertionError(text)
 
 
+def inverted(found: Strike) -> int:
+    return sum(1 << bit for bit in found.bits)
+
+
 def strike_at(target: Target, text: str, spec: FaultSpec, seed: int) -> Strike:
     """End the spinning, and strike where the program comes to ``text``."""
     with held(target) as (tracees, thread, process):
@@ -61,7 +66,7 @@ def strike_at(target: Target, text: str, spec: FaultSpec, seed: int) -> Strike:
     assert found.status == "injected"
     assert found.instruction is not None
     assert found.instruction.text == text
-    assert found.read_back == found.after == found.before ^ 1 << found.bit
+    assert found.read_back == found.after == found.before ^ inverted(found)
     return found
 
 
@@ -72,10 +77,9 @@ def test_a_flipped_destination_survives_its_instruction(move: Instruction, text:
         for seed in range(8):
             target.start({"rcx": VALUE, "rbx": 1})
             found = strike_at(target, text, fault("destination", "gpr"), seed)
-            assert found.candidate is not None
-            assert found.candidate.width_bits == width
+            assert found.width_bits == width
             assert found.before == moved
-            assert target.general()["rbx"] == moved ^ 1 << found.bit
+            assert target.general()["rbx"] == moved ^ inverted(found)
             assert target.general()["rcx"] == VALUE
 
 
@@ -84,7 +88,7 @@ def test_a_flipped_source_is_what_the_instruction_takes() -> None:
         for seed in range(8):
             target.start({"rcx": VALUE, "rbx": 1})
             found = strike_at(target, "mov rbx,rcx", fault("source"), seed)
-            assert target.general()["rbx"] == target.general()["rcx"] == VALUE ^ 1 << found.bit
+            assert target.general()["rbx"] == target.general()["rcx"] == VALUE ^ inverted(found)
 
 
 def test_a_flipped_vector_destination_survives_its_instruction() -> None:
@@ -93,8 +97,8 @@ def test_a_flipped_vector_destination_survives_its_instruction() -> None:
         for seed in range(8):
             target.start(vector={2: VALUE << 64 | VALUE})
             found = strike_at(target, "movaps xmm1,xmm2", fault("destination", "vector"), seed)
-            assert target.vector()[1] == (VALUE << 64 | VALUE) ^ 1 << found.bit
-            bits.add(found.bit // 64)
+            assert target.vector()[1] == (VALUE << 64 | VALUE) ^ inverted(found)
+            bits.add(found.bits[0] // 64)
         assert bits == {0, 1}  # in both halves
 
 
@@ -103,8 +107,7 @@ def test_a_scalar_instruction_is_struck_in_its_element() -> None:
         for seed in range(8):
             target.start()
             found = strike_at(target, "addsd xmm1,xmm2", fault("source"), seed)
-            assert found.candidate is not None
-            assert found.candidate.width_bits == 64
+            assert found.width_bits == 64
 
 
 def test_what_is_read_and_written_is_drawn_as_each() -> None:
@@ -112,9 +115,8 @@ def test_what_is_read_and_written_is_drawn_as_each() -> None:
         drawn = set()
         for seed in range(30):
             target.start({"rcx": VALUE, "rbx": 5})
-            found = strike_at(target, "add rbx,rcx", fault(), seed)
-            assert found.candidate is not None
-            name, role, bit = found.candidate.register, found.candidate.role, found.bit
+            found = strike_at(target, "add rbx,rcx", fault(register_class="gpr"), seed)
+            name, role, bit = found.register, found.operand, found.bits[0]
             drawn.add((name, role))
             rbx, rcx = 5, VALUE
             if name == "rcx":
@@ -146,7 +148,7 @@ def test_instructions_without_an_eligible_register_are_passed_over_and_counted()
         assert found.instruction is not None
         assert found.instruction.text == "mov rbx,rcx"
         assert 1 <= found.passed_over <= 6
-        assert target.general()["rcx"] == VALUE ^ 1 << found.bit
+        assert target.general()["rcx"] == VALUE ^ inverted(found)
 
 
 def test_a_program_that_never_offers_one_is_left_as_it_is() -> None:

@@ -1,0 +1,46 @@
+"""Makes the recorded inputs of the kernels, from one golden flight of a stated specification."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deploy.forkserver import ForkServer
+from deploy.mission import fly
+from deploy.supervisor import InfrastructureError
+from services.bus.mission import MissionSpec
+from services.bus.trial import NoSampleError, Recording, Sample
+from services.kernels import KERNELS
+
+SPEC = MissionSpec(world="dense", seed=2)
+"""In which the vehicle meets a collision ahead and leads around it in flight."""
+
+
+def make_samples(server: ForkServer) -> Mapping[Path, Sample]:
+    """The sample of each stage, by its file.
+
+    :raises InfrastructureError: if the flight holds no input that puts the kernels to work.
+    """
+    flight = fly(SPEC, server, keep_messages=True)
+    assert flight.messages is not None  # noqa: S101 - asked for
+    recording = Recording(SPEC, flight.messages)
+    samples = {}
+    for kernel in KERNELS.values():
+        if kernel.sample_file not in samples:
+            stage = importlib.import_module(f"services.{kernel.stage}.samples")
+            try:
+                samples[kernel.sample_file] = stage.record(recording)
+            except NoSampleError as error:
+                message = f"{kernel.stage}: {error}"
+                raise InfrastructureError(message) from error
+    return samples
+
+
+def write(sample: Sample, file: Path) -> None:
+    """Write a sample: not compressed, so that the same arrays are the same bytes everywhere."""
+    arrays: dict[str, Any] = dict(sample)
+    np.savez(file, **arrays)

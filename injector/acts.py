@@ -1,0 +1,180 @@
+"""What each fault model does to one instruction: None if it offers nothing that is eligible."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from injector.decode import Candidate, MemoryAccess
+from injector.inject import Standing, Strike, TargetError, registers_of, stand, step
+from injector.opcode import corrupt, execute
+from injector.ptrace import GoneError
+from injector.registers import Registers
+from services.bus.fault_model import draw_bits, groups, struck
+from services.bus.mission import FaultSpec
+
+
+def strike_register(at: Standing, fault: FaultSpec, draw: np.random.Generator) -> Strike | None:
+    """Change a register that the instruction reads or writes, once or for some time."""
+    eligible = [
+        (one, among)
+        for one in at.instruction.eligible(fault.operand, fault.register_class)
+        if (among := groups(fault, one.width_bits, one.element_bits, one.accessed))
+    ]
+    if not eligible:
+        return None
+    candidate, among = eligible[int(draw.integers(len(eligible)))]
+    bits = draw_bits(fault, among, draw)
+    if candidate.role == "destination":
+        at.execute()
+    found = _change(at, fault, candidate, bits)
+    return _hold(at, fault, candidate, found) if fault.model == "stuck_at" else found
+
+
+def _change(at: Standing, fault: FaultSpec, candidate: Candidate, bits: tuple[int, ...]) -> Strike:
+    """Change bits of a register and read them back.
+
+    :raises GoneError: if the thread has been killed.
+    """
+    accessed = (1 << candidate.width_bits) - 1
+    registers = registers_of(at.thread)
+    before = registers.get(candidate.register)
+    after = struck(fault, before, bits)
+    registers.put(candidate.register, after)
+    registers.commit()
+    read_back = registers_of(at.thread).get(candidate.register)
+    return _judged(
+        fault,
+        f"the kernel did not take the change of {candidate.register}",
+        Strike(
+            "injected",
+            instruction=at.instruction,
+            operand=candidate.role,
+            register=candidate.register,
+            width_bits=candidate.width_bits,
+            element_bits=candidate.element_bits,
+            bits=bits,
+            before=before & accessed,
+            after=after & accessed,
+            read_back=read_back & accessed,
+        ),
+    )
+
+
+def _judged(fault: FaultSpec, refused: str, found: Strike) -> Strike:
+    """The status by what was read back; ``refused`` is the reason if that is not what was written."""
+    if found.read_back != found.after:
+        return replace(found, status="failed", reason=refused)
+    if fault.model == "none":
+        return replace(found, status="not_activated", reason="model none: all was done but the flip")
+    return found
+
+
+def _hold(at: Standing, fault: FaultSpec, candidate: Candidate, first: Strike) -> Strike:
+    """Hold the bits for as many instructions as asked for: force them before each of them.
+
+    It ends earlier, with a reason, where the thread can be stepped no further.
+    """
+    wanted = fault.stuck_instructions or 1
+    changed, held, reason = first.before != first.after, 1, ""
+    while first.status == "injected" and held < wanted and not reason:
+        try:
+            registers, instruction = stand(at.thread, at.process)
+            if registers.in_system_call or not instruction.steppable:
+                reason = f"held until {instruction.text}"
+                break
+            step(at.tracees, at.thread, instruction)
+            again = _change(at, fault, candidate, first.bits)
+        except (TargetError, GoneError) as error:
+            reason = f"held until the thread stopped short: {error}"
+            break
+        changed = changed or again.before != again.after
+        reason = again.reason
+        held += 1
+    if first.status == "injected" and not changed:
+        reason = f"the bits were {fault.stuck_value} already in all {held} instructions"
+        return replace(first, status="not_activated", reason=reason, held_instructions=held)
+    return replace(first, reason=reason or first.reason, held_instructions=held)
+
+
+def strike_memory(at: Standing, fault: FaultSpec, draw: np.random.Generator) -> Strike | None:
+    """Change memory that the instruction reads or writes.
+
+    :raises AddressError: if it is not there or cannot be written.
+    """
+    eligible = [
+        (one, among)
+        for one in at.instruction.memory
+        if fault.operand in ("any", one.role) and (among := groups(fault, one.width_bits, one.element_bits))
+    ]
+    if not eligible:
+        return None
+    access, among = eligible[int(draw.integers(len(eligible)))]
+    bits = draw_bits(fault, among, draw)
+    address = address_of(access, at.registers)
+    if access.role == "destination":
+        at.execute()
+    size = access.width_bits // 8
+    before = int.from_bytes(at.process.read_memory(address, size), "little")
+    after = struck(fault, before, bits)
+    at.process.write_memory(address, after.to_bytes(size, "little"))
+    read_back = int.from_bytes(at.process.read_memory(address, size), "little")
+    found = Strike(
+        "injected",
+        instruction=at.instruction,
+        operand=access.role,
+        address=address,
+        width_bits=access.width_bits,
+        element_bits=access.element_bits,
+        bits=bits,
+        before=before,
+        after=after,
+        read_back=read_back,
+    )
+    return _judged(fault, f"the memory at {address:#x} did not take the change", found)
+
+
+def address_of(access: MemoryAccess, registers: Registers) -> int:
+    """The address of the memory that an instruction is about to access."""
+    address = access.displacement
+    if access.base:
+        address += registers.get(access.base)
+    if access.index:
+        address += registers.get(access.index) * access.scale
+    address %= 1 << access.address_bits
+    return (address + registers.get(access.segment)) % 2**64 if access.segment else address
+
+
+def strike_opcode(at: Standing, fault: FaultSpec, draw: np.random.Generator) -> Strike | None:
+    """Have another instruction executed in its place, once.
+
+    :raises AddressError: if its bytes cannot be changed, or not be restored.
+    """
+    corrupted = corrupt(at.instruction, at.process, fault, draw)
+    if corrupted is None:
+        return None
+    read_back, reason = execute(at.tracees, at.thread, at.process, at.instruction, corrupted)
+    found = Strike(
+        "injected",
+        reason,
+        at.instruction,
+        address=at.instruction.address,
+        width_bits=8 * len(corrupted.code),
+        bits=corrupted.bits,
+        before=int.from_bytes(at.instruction.code, "little"),
+        after=int.from_bytes(corrupted.code, "little"),
+        read_back=int.from_bytes(read_back, "little"),
+        instruction_after=corrupted.text,
+    )
+    return _judged(fault, "the code did not take the change", found)
+
+
+ACTS: dict[str, Callable[[Standing, FaultSpec, np.random.Generator], Strike | None]] = {
+    "bitflip": strike_register,
+    "stuck_at": strike_register,
+    "none": strike_register,
+    "opcode": strike_opcode,
+    "memory": strike_memory,
+}

@@ -1,0 +1,63 @@
+"""Looking for an instruction that the fault can strike, and striking it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from injector.acts import ACTS
+from injector.freeze import Thread, Tracees
+from injector.inject import Standing, Strike, TargetError, stand
+from injector.process import AddressError, CodeError, Process
+from injector.ptrace import GoneError
+from injector.scope import within
+from services.bus.mission import FaultSpec
+
+SITES = 1000
+"""Instructions in the scope with nothing eligible that are passed over before we give up."""
+
+OUTSIDE = 20_000
+"""Instructions outside the scope that are passed over before we give up: a second, at worst."""
+
+LINGER = 256
+"""Most instructions of the scope that are passed over on coming into it: it is not always to be the first."""
+
+
+def strike(
+    tracees: Tracees, thread: Thread, process: Process, fault: FaultSpec, draw: np.random.Generator
+) -> Strike | None:
+    """Do to a standing thread what ``fault`` says, at its next instruction within the scope that offers it.
+
+    What is struck is drawn uniformly from what is eligible: pairs of register and role, or of memory word
+    and role; then the number within it, if a field is asked for; then the bits. A source is struck before
+    the instruction, a destination after it (after one iteration, if it repeats).
+
+    None: the thread is in a system call or about to enter one (or to show the program that it is being
+    stepped). That is no user instruction; the thread must run on first.
+    """
+    inside = within(fault, process)
+    without = outside = lingered = linger = 0
+    try:
+        while without < SITES and outside < OUTSIDE:
+            registers, instruction = stand(thread, process)
+            if registers.in_system_call or not instruction.steppable:
+                return None
+            standing = Standing(tracees, thread, process, registers, instruction)
+            if not inside(instruction.address):
+                linger = linger if outside else int(draw.integers(LINGER + 1))
+                outside += 1
+            elif lingered < linger:
+                lingered += 1
+            elif found := ACTS[fault.model](standing, fault, draw):
+                return replace(found, passed_over=without + outside + lingered)
+            else:
+                without += 1
+            standing.execute()
+    except (TargetError, GoneError, CodeError) as error:
+        return Strike("failed", f"before the fault: {error}", passed_over=without + outside + lingered)
+    except AddressError as error:
+        return Strike("failed", str(error), passed_over=without + outside + lingered)
+    what = "nothing eligible" if without == SITES else "none of the kernel's own code"
+    reason = f"{what} in {SITES if without == SITES else OUTSIDE} instructions"
+    return Strike("not_activated", reason, passed_over=without + outside + lingered)

@@ -1,0 +1,87 @@
+"""Control's kernel on one tick of a flight: in a turn, with a controller that has been at work."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.bus.arrays import plan, state, verdict
+from services.bus.messages import TwistStamped
+from services.bus.topics import TICK_NS
+from services.bus.trial import NoSampleError, Output, Recording, Sample, cdr, decoded, numbers
+from services.control.follower import Follower
+from services.control.pid import pid
+
+_AT_SPEED_M_S = 1.0
+
+
+def record(flight: Recording) -> Sample:
+    """The tick with the largest yaw rate among those in which a trajectory is followed at speed.
+
+    The stage is run again over what it saw in flight, which gives its commands again, to the bit.
+
+    :raises NoSampleError: if it does not, or there is no such tick.
+    """
+    best: Sample | None = None
+    most = 0.0
+    for sample, command in _replayed(flight):
+        if np.hypot(*command[:2]) > _AT_SPEED_M_S and abs(command[3]) > most:
+            best, most = sample, abs(command[3])
+    if best is None:
+        raise NoSampleError("no trajectory was followed in flight")
+    return best
+
+
+def _replayed(flight: Recording) -> Iterator[tuple[Sample, NDArray[np.float64]]]:
+    """Input of the kernel and command of each tick in which a trajectory is followed."""
+    messages, follower = flight.messages, Follower()
+    verdicts, plans = deque(messages["collision_check"]), deque(messages["trajectory"])
+    taken: list[tuple[NDArray[np.uint8], NDArray[np.float64]]] = []
+    for measured, flown in zip(messages["odometry"], messages["command"], strict=False):
+        while verdicts and verdicts[0].ready_ns <= measured.ready_ns:
+            follower.take_verdict(*verdict(decoded("collision_check", cdr(verdicts.popleft()))))
+        while plans and plans[0].ready_ns <= measured.ready_ns:
+            message = cdr(plans.popleft())
+            made = plan(decoded("trajectory", message))
+            follower.take_trajectory(*made[:3])
+            taken.append((message, made.points))
+        now_s, here = measured.ready_ns / 1e9, state(decoded("odometry", cdr(measured)))
+        motion = now_s, here.position, here.velocity, here.yaw
+        curve = follower.curve(*motion)
+        before = follower.state.copy()
+        command = follower.command(*motion, TICK_NS / 1e9)
+        if not np.array_equal(command, _numbers_of(decoded("command", cdr(flown)))):
+            raise NoSampleError(f"the messages of the flight do not give its command at {now_s} s")
+        for message, points in taken:
+            if points is curve:
+                tick = {"now_s": np.array(now_s), "odometry": cdr(measured), "state": before}
+                yield tick | {"trajectory": message}, command
+
+
+class Pid:
+    """One flight command: vx, vy, vz, m/s, and yaw rate, rad/s."""
+
+    def __init__(self, _: str, sample: Sample) -> None:
+        self._trajectory = plan(decoded("trajectory", sample["trajectory"])).points
+        self._now_s = float(sample["now_s"])
+        self._here = state(decoded("odometry", sample["odometry"]))
+        self._state = sample["state"].copy()
+        self.command = np.full(4, np.nan)
+
+    def run(self) -> None:
+        """Make the command."""
+        position, velocity, _, yaw = self._here
+        self.command = pid(self._trajectory, self._now_s, position, velocity, yaw, TICK_NS / 1e9, self._state)
+
+    def output(self) -> Output:
+        """The command; every bit of it and of the controller's state."""
+        command = numbers(self.command)
+        return command._replace(image=command.image + self._state.tobytes())
+
+
+def _numbers_of(command: TwistStamped) -> NDArray[np.float64]:
+    twist = command.twist
+    return np.array([twist.linear.x, twist.linear.y, twist.linear.z, twist.angular.z])
