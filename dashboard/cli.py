@@ -25,6 +25,7 @@ from dashboard.commands.flying import run_new
 from dashboard.commands.options import as_json
 from dashboard.commands.redundancy import redundancy
 from dashboard.commands.replay import replay
+from dashboard.commands.train import train
 from dashboard.commands.world import world
 from deploy.check import BadSpecError, check, one_line
 from deploy.definitions import inlined
@@ -32,6 +33,7 @@ from deploy.doctor import examine
 from deploy.forkserver import ForkServer, ForkServerError
 from deploy.pairing import NothingToInjectError, Pairs
 from deploy.supervisor import InfrastructureError
+from detector.errors import DetectionInputError
 from services.bus.mission import MissionSpec
 
 
@@ -90,6 +92,7 @@ zenfi.add_command(world)
 zenfi.add_command(bench)
 zenfi.add_command(replay)
 zenfi.add_command(redundancy)
+zenfi.add_command(train)
 
 
 zenfi.add_command(campaign)
@@ -122,7 +125,7 @@ def main() -> None:
     """Entry point of the ``zenfi`` command."""
     try:
         zenfi.main(standalone_mode=False)
-    except (click.ClickException, BadSpecError, NothingToInjectError) as error:
+    except (click.ClickException, BadSpecError, NothingToInjectError, DetectionInputError) as error:
         text = error.format_message() if isinstance(error, click.ClickException) else str(error)
         _give_up(text, 2)
     except ValidationError as error:

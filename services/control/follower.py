@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from services.bus.safety import BRAKE_BELOW_S, DECELERATION_M_S2
 from services.control.pid import STATE_SIZE, pid, stopping
 
+WAYPOINT_FIELDS = 10
+"""Numbers of a tracked waypoint: duration, x y z, vx vy vz, ax ay az."""
+
 
 class Follower:
     """Keeps the newest trajectory and says which curve the kernel has to follow.
@@ -101,3 +104,20 @@ class Follower:
             self._stop = stopping(now_s, position, velocity, yaw, DECELERATION_M_S2)
             self.state[:] = 0.0
         return self._stop
+
+
+def waypoints(curve: NDArray[np.float64], now_s: float) -> NDArray[np.float64]:
+    """The waypoint of ``curve`` (n, 12) that is flown towards at ``now_s`` and the row behind it.
+
+    (2, ``WAYPOINT_FIELDS``), the row behind first. A duration is the time in s that the curve grants from the
+    row before; the curve's first row has that of the second. After the curve's end the last row is flown
+    towards, before its beginning the first, which then also stands behind.
+    """
+    last = len(curve) - 1
+    ahead = min(int(np.searchsorted(curve[:, 0], now_s, side="right")), last)
+    rows = np.zeros((2, WAYPOINT_FIELDS))
+    for row, index in zip(rows, (max(ahead - 1, 0), ahead), strict=True):
+        begun = min(max(index, 1), last)
+        row[0] = curve[begun, 0] - curve[max(begun - 1, 0), 0]
+        row[1:] = curve[index, 1:10]
+    return rows

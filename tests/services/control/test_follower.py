@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from services.bus.safety import BRAKE_BELOW_S
-from services.control.follower import Follower
+from services.control.follower import WAYPOINT_FIELDS, Follower, waypoints
 
 HERE = np.array([0.0, 0.0, 3.0])
 FAST = np.array([3.0, 0.0, 0.0])
@@ -109,6 +109,22 @@ def test_restarted_in_flight_it_goes_on_with_the_newest_trajectory() -> None:
     follower.take_verdict(5.9, 4, 3, math.inf)
     follower.take_trajectory(4, 3, eastwards())
     assert forward_speed(follower, 6.1, 18.3) == pytest.approx(3.0)
+
+
+def test_the_tracked_waypoint_is_the_next_row_with_the_row_behind_it() -> None:
+    rows = np.zeros((3, 12))
+    rows[:, 0] = (1.0, 1.25, 1.75)
+    rows[:, 1] = (10.0, 11.0, 12.0)
+    for now_s, behind, ahead, duration in (
+        (0.5, 10.0, 10.0, 0.25),
+        (1.0, 10.0, 11.0, 0.25),
+        (1.25, 11.0, 12.0, 0.5),
+        (9.0, 11.0, 12.0, 0.5),
+    ):
+        found = waypoints(rows, now_s)
+        assert found.shape == (2, WAYPOINT_FIELDS)
+        assert (found[0, 1], found[1, 1], found[1, 0]) == (behind, ahead, duration)
+    np.testing.assert_array_equal(waypoints(rows[:1], 2.0)[:, 1], (10.0, 10.0))
 
 
 def test_a_skipped_waypoint_is_not_flown_to(flying: Follower) -> None:

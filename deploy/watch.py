@@ -1,0 +1,120 @@
+"""From a flight's messages to the checks that its stages would have asked a detector for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from deploy.forkserver import ForkServer
+from deploy.mission import Flight, fly
+from deploy.pairing import compare, draw_call
+from detector.series import Checks, Series
+from detector.watched import WATCHED
+from services.bus.arrays import POINT_FIELDS, Floats, plan, state, verdict
+from services.bus.horizon import Stamped
+from services.bus.messages import MalformedMessageError, decode
+from services.bus.mission import MissionSpec
+from services.bus.topics import TICK_NS, TOPICS
+from services.control.follower import Follower, waypoints
+
+
+def record(spec: MissionSpec, server: ForkServer) -> Series:
+    """Fly a mission and keep what detectors would see; one with a fault beside its golden twin.
+
+    :raises NothingToInjectError: if the twin never runs the fault's kernel.
+    """
+    if spec.fault is None:
+        return series(spec, fly(spec, server, keep_messages=True))
+    twin = fly(spec.model_copy(update={"fault": None}), server)
+    fault = spec.fault.model_copy(update={"trigger": draw_call(spec.fault, twin.outcome)})
+    flight = fly(spec.model_copy(update={"fault": fault}), server, keep_messages=True)
+    made = series(spec, flight)
+    nodes = compare(flight, twin).nodes.values()
+    return Series(made.checks, {**made.about, "sdc": any(node.result == "sdc" for node in nodes)})
+
+
+def series(spec: MissionSpec, flight: Flight) -> Series:
+    """The checks of the mission ``spec``, flown with its messages kept.
+
+    Perception and planning are asked for what they published. Control also for the waypoint that it
+    tracked, which is on no topic: its follower is run again over what it had received. Its ticks after a
+    restart are not told apart, so a flight in which control died is watched as if it had lived on.
+    """
+    messages, outcome = flight.messages, flight.outcome
+    assert messages is not None  # noqa: S101 - asked for by the caller
+    about = {
+        "spec": spec.model_dump(mode="json"),
+        "result": outcome.result,
+        "digest": outcome.digest,
+        "time_s": max(times[-1] for times in flight.trace.times_ns.values() if times) / 1e9,
+    }
+    if outcome.injection is not None and outcome.injection.status == "injected":
+        about["injected_s"] = outcome.injection.virtual_time_ns / 1e9
+    checks = {
+        "perception": _perception(messages["collision_check"]),
+        "planning": _planning(messages["trajectory"]),
+        "control": _control(messages),
+    }
+    return Series(checks, about)
+
+
+def _perception(found: Sequence[Stamped]) -> Checks:
+    messages = [_read("collision_check", one) for one in found]
+    values = np.array(
+        [(one.time_to_collision, one.future_collision_seq) for one in messages], dtype=np.float64
+    )
+    return Checks(values.reshape(-1, len(WATCHED["perception"])), np.arange(len(found)), _times(found))
+
+
+def _planning(made: Sequence[Stamped]) -> Checks:
+    """Rows as they were published: what a fault did to them, too, though the others may refuse it."""
+    rows = []
+    for one in made:
+        message = _read("trajectory", one)
+        points = message.points.reshape(-1, POINT_FIELDS)[:, :11]
+        counts = (float(message.trajectory_seq), float(message.future_collision_seq))
+        rows.append(np.hstack((points, np.tile(counts, (len(points), 1)))))
+    lengths = np.array([len(one) for one in rows], dtype=np.int64)
+    values = np.concatenate([np.empty((0, len(WATCHED["planning"]))), *rows])
+    return Checks(values, np.cumsum(lengths) - lengths, _times(made))
+
+
+def _control(messages: Mapping[str, Sequence[Stamped]]) -> Checks:
+    """Run the follower again; control takes up each odometry message unless it is still busy."""
+    follower, rows, times = Follower(), [], []
+    checks, plans = iter(messages["collision_check"]), iter(messages["trajectory"])
+    check, made = next(checks, None), next(plans, None)
+    odometry = {one.ready_ns: one for one in messages["odometry"]}
+    curves, followed = 0, None
+    for sent in messages["command"]:
+        command = _read("command", sent)
+        tick = sent.ready_ns // TICK_NS * TICK_NS
+        while check is not None and check.ready_ns <= tick:
+            with suppress(MalformedMessageError):
+                follower.take_verdict(*verdict(_read("collision_check", check)))
+            check = next(checks, None)
+        while made is not None and made.ready_ns <= tick:
+            with suppress(MalformedMessageError):
+                follower.take_trajectory(*plan(_read("trajectory", made))[:3])
+            made = next(plans, None)
+        here = state(_read("odometry", odometry[tick]))
+        curve = follower.curve(tick / 1e9, here.position, here.velocity, here.yaw)
+        curves += curve is not followed
+        followed = curve
+        linear, turn = command.twist.linear, command.twist.angular.z
+        flown = np.tile((linear.x, linear.y, linear.z, turn), (2, 1))
+        rows.append(np.hstack((np.full((2, 1), float(curves)), waypoints(curve, tick / 1e9), flown)))
+        times.append(tick / 1e9)
+    values = np.concatenate(rows) if rows else np.empty((0, len(WATCHED["control"])))
+    return Checks(values, 2 * np.arange(len(rows)), np.array(times))
+
+
+def _times(messages: Sequence[Stamped]) -> Floats:
+    return np.array([one.ready_ns / 1e9 for one in messages])
+
+
+def _read(topic: str, message: Stamped) -> Any:
+    return decode(message.payload, TOPICS[topic].type)

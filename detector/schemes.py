@@ -1,0 +1,92 @@
+"""The schemes that are installed, and their detectors. A scheme is an entry point of ``zenfi.detectors``."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+import numpy as np
+
+from detector.errors import DetectionInputError
+from detector.model import BadModelError, read_model, what_is_wrong
+from detector.scheme import Scheme
+from detector.watched import ROWS, WATCHED
+
+GROUP = "zenfi.detectors"
+MODELS = Path(__file__).parent / "models"
+"""The trained models that come along: ``SCHEME.json``."""
+
+
+class UnknownSchemeError(DetectionInputError):
+    """No scheme of that name is installed, or its package is broken: one line."""
+
+
+@cache
+def _installed() -> dict[str, EntryPoint]:
+    return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)}
+
+
+def scheme_names() -> list[str]:
+    """Names of the schemes that are installed, sorted."""
+    return list(_installed())
+
+
+def scheme(name: str) -> type[Scheme]:
+    """The class of a scheme.
+
+    :raises UnknownSchemeError: if there is none, or it cannot be imported.
+    """
+    point = _installed().get(name)
+    if point is None:
+        message = f"unknown detector {name!r}; installed: {', '.join(scheme_names()) or 'none'}"
+        raise UnknownSchemeError(message)
+    try:
+        found = point.load()
+    except (ImportError, AttributeError) as error:
+        message = f"detector {name!r} ({point.value}) cannot be imported: {error}"
+        raise UnknownSchemeError(message) from error
+    if not (isinstance(found, type) and issubclass(found, Scheme)):
+        message = f"detector {name!r} ({point.value}) is no subclass of detector.scheme.Scheme"
+        raise UnknownSchemeError(message)
+    return found
+
+
+def with_models() -> list[str]:
+    """Names of the schemes of which a trained model comes along."""
+    return [name for name in scheme_names() if (MODELS / f"{name}.json").exists()]
+
+
+def load_detector(name: str, path: Path | None = None, *, learning: bool = True) -> Scheme:
+    """A detector for one flight, from the model in ``path`` or from the one that comes along.
+
+    :raises UnknownSchemeError: if there is no such scheme.
+    :raises BadModelError: if the file is no model of this scheme.
+    """
+    kind = scheme(name)
+    file = path if path is not None else MODELS / f"{name}.json"
+    if path is None and not file.exists():
+        message = f"no model comes along for detector {name!r}: train one by zenfi train {name}"
+        raise BadModelError(message)
+    model = read_model(file)
+    if model.scheme != name:
+        message = f"{file}: a model of {model.scheme!r}, not of {name!r}"
+        raise BadModelError(message)
+    try:
+        return kind.load(model.parameters, learning=learning)
+    except ValueError as error:
+        message = f"{file}: no parameters of {name!r} ({what_is_wrong(error)})"
+        raise BadModelError(message) from error
+
+
+def warm_up() -> None:
+    """Compile the detectors that come along before there is a flight."""
+    for name in with_models():
+        detector = load_detector(name)
+        for stage, columns in WATCHED.items():
+            for writeable in (True, False):
+                # What comes from the bus is read-only: to numba a type of its own.
+                values = np.zeros((ROWS[stage] or 3, len(columns)))
+                values.setflags(write=writeable)
+                detector.score(stage, values)
+                detector.check(stage, values)
