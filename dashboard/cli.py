@@ -22,6 +22,7 @@ from dashboard.commands.bench import bench
 from dashboard.commands.campaign import as_picture, campaign, in_store
 from dashboard.commands.fault import FORM, parse_fault
 from dashboard.commands.flying import run_new
+from dashboard.commands.kernels import kernels
 from dashboard.commands.options import as_json
 from dashboard.commands.redundancy import redundancy
 from dashboard.commands.replay import replay
@@ -90,6 +91,7 @@ def fly(fault: str | None, fault_seed: int, fault_over: str, as_json: bool, **fi
 
 zenfi.add_command(world)
 zenfi.add_command(bench)
+zenfi.add_command(kernels)
 zenfi.add_command(replay)
 zenfi.add_command(redundancy)
 zenfi.add_command(train)

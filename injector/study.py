@@ -14,6 +14,7 @@ import os
 import select
 import signal
 import struct
+import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -30,7 +31,7 @@ from services.bus.model import Strict
 from services.bus.node import GATE_SIGNAL
 from services.bus.outcome import InjectionRecord
 from services.bus.trial import Output
-from services.kernels import Kernel
+from services.kernels import KERNELS, Kernel
 
 StudyResult = Literal["benign", "sdc", "crash", "hang", "not_injected"]
 
@@ -218,3 +219,27 @@ def _looked_at(pid: int) -> tuple[str, float]:
         return "", 0.0
     fields = stat.rpartition(")")[2].split()
     return fields[0], (int(fields[11]) + int(fields[12])) / _CLOCK_TICKS_PER_S
+
+
+def main() -> None:
+    """A worker: ``python -m injector.study KERNEL FAULT SEED COUNT SLOT SLOTS CPU``; JSON lines.
+
+    It takes every ``SLOTS``-th injection of ``COUNT``, from ``SLOT`` on; ``FAULT`` is a FaultSpec in JSON.
+    """
+    kernel, fault, *numbers = sys.argv[1:]
+    seed, count, slot, slots, cpu = (int(number) for number in numbers)
+    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    os.sched_setaffinity(0, {cpu})
+    # What a struck copy says while it dies is of no use to anybody.
+    os.dup2(os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC), 2)
+    aimed = FaultSpec.model_validate_json(fault)
+    subject = Subject(KERNELS[kernel])
+    for index in range(slot, count, slots):
+        sys.stdout.write(subject.strike(index, aimed, seed).model_dump_json(by_alias=True) + "\n")
+        sys.stdout.flush()
+    # Without the interpreter's own clean-up: nanobind would complain of OMPL's leaks at length.
+    os._exit(os.EX_OK)
+
+
+if __name__ == "__main__":
+    main()

@@ -23,20 +23,29 @@ def parse_fault(text: str, seed: int, over: str) -> FaultSpec:
     if not colon:
         message = f"--fault {text!r}: expected {FORM}, e.g. instruction:rrt_star,field=exponent,bits=2"
         raise BadSpecError(message)
+    fields = fault_fields(",".join(settings))
+    given = {"level": level, "target": target, "seed": seed, "trigger": {"over": over}, **fields}
+    return FaultSpec.model_validate(given)
+
+
+def fault_fields(text: str) -> dict[str, object]:
+    """The fields in ``NAME=VALUE[,NAME=VALUE...]``, of which there may be none.
+
+    :raises BadSpecError: if it has not the form.
+    """
     fields: dict[str, object] = {}
-    for setting in settings:
+    for setting in text.split(",") if text else ():
         name, equals, value = setting.partition("=")
         if not equals or name in fields:
             what = "twice the same name" if equals else "no NAME=VALUE"
-            message = f"--fault {text!r}: {what} in {setting!r}"
+            message = f"--fault: {what} in {setting!r}"
             raise BadSpecError(message)
         if name in _ELSEWHERE:
-            message = f"--fault {text!r}: {name} is given by {_ELSEWHERE[name]}"
+            message = f"--fault: {name} is given by {_ELSEWHERE[name]}"
             raise BadSpecError(message)
         words = [_number(word) for word in value.split("+")]
         fields[name] = words if name in _LISTS else _number(value)
-    given = {"level": level, "target": target, "seed": seed, "trigger": {"over": over}, **fields}
-    return FaultSpec.model_validate(given)
+    return fields
 
 
 def _number(word: str) -> int | str:
