@@ -14,7 +14,6 @@ import importlib
 import json
 import os
 import selectors
-import signal
 import socket
 import subprocess
 import sys
@@ -28,12 +27,12 @@ from numba.core import event as numba_event
 
 from deploy.stack import STACK, Process
 from injector.ward import ward_off_traps
+from services.bus.lifeline import die_with_parent
 from services.bus.node import NodeSetup
 from services.bus.session import Meeting, topic_key
 from services.bus.topics import TOPICS
 from services.bus.vitals import Vitals
 
-PR_SET_PDEATHSIG = 1
 PR_SET_NAME = 15
 PR_SET_PTRACER = 0x59616D61
 ADDR_NO_RANDOMIZE = 0x0040000
@@ -143,12 +142,6 @@ def _exited(message: dict[str, object]) -> Exited:
 # -- the server's side -------------------------------------------------------------------------------
 
 
-def _die_with_parent(parent_pid: int) -> None:
-    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent_pid:
-        os._exit(1)  # the parent died before it could be watched
-
-
 def _without_address_randomisation() -> None:
     """Start this process again with fixed addresses, unless it has them."""
     current = _libc.personality(0xFFFFFFFF)
@@ -215,7 +208,7 @@ def _fork(
         return pid
     status = EXIT_BUG
     try:
-        _die_with_parent(server_pid)
+        die_with_parent(server_pid)
         control.close()
         _run_node(request, descriptors, modules)
         status = 0
@@ -245,7 +238,7 @@ def _run_node(request: dict[str, str], descriptors: list[int], modules: Mapping[
 def main() -> None:
     """Entry point of the server's process: ``python -m deploy.forkserver FD PARENT_PID``."""
     _without_address_randomisation()
-    _die_with_parent(int(sys.argv[2]))
+    die_with_parent(int(sys.argv[2]))
     with socket.socket(fileno=int(sys.argv[1])) as control:
         serve(control)
     # Without the interpreter's own clean-up: nanobind would complain of OMPL's leaks at length.

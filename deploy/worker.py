@@ -8,16 +8,15 @@ few seconds ``{"alive": true}``, so that a worker that was stopped is told from 
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
-import signal
 import sys
 import threading
 
-from deploy.forkserver import PR_SET_PDEATHSIG, ForkServer, ForkServerError
+from deploy.forkserver import ForkServer, ForkServerError
 from deploy.pairing import NothingToInjectError, Pairs
 from deploy.supervisor import InfrastructureError
+from services.bus.lifeline import die_with_parent
 from services.bus.mission import MissionSpec
 
 HEARTBEAT_S = 2.0
@@ -25,7 +24,7 @@ HEARTBEAT_S = 2.0
 
 def main() -> None:
     """Entry point: ``python -m deploy.worker [CPU]``; ends when its standard input does."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    die_with_parent()
     cpu = int(sys.argv[1]) if len(sys.argv) > 1 else None
     if cpu is not None:
         os.sched_setaffinity(0, {cpu})

@@ -5,7 +5,6 @@ Code that has run has its pages in memory and its modules loaded; a first time t
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 
@@ -14,11 +13,10 @@ from injector.process import Identity, Process
 from injector.site import look
 from injector.strike import strike
 from services.bus import rng
+from services.bus.lifeline import die_with_parent
 from services.bus.mission import FaultSpec
 
 TIMES = 3
-
-_PR_SET_PDEATHSIG = 1
 
 
 def rehearse(fault: FaultSpec) -> None:
@@ -27,7 +25,7 @@ def rehearse(fault: FaultSpec) -> None:
     own = os.getpid()
     pid = os.fork()
     if not pid:
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        die_with_parent(own)
         while os.getppid() == own:
             pass
         os._exit(1)

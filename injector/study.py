@@ -7,7 +7,6 @@ tracer, so nothing of a fault outlives its injection, and all copies begin alike
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import mmap
 import os
@@ -26,6 +25,7 @@ from injector.session import inject
 from injector.way import Call
 from services.bus import rng
 from services.bus.announce import Announcement, boot_id, start_ticks
+from services.bus.lifeline import die_with_parent
 from services.bus.mission import FaultSpec, Trigger
 from services.bus.model import Strict
 from services.bus.node import GATE_SIGNAL
@@ -50,9 +50,7 @@ REHEARSALS = 7
 _LOOK_MS = 10
 _ROOM = 4  # an output may be so many times as large as the good one
 _HEADER = struct.Struct("<QQQ")  # thread time in ns, bytes of the image, bytes of the values
-_PR_SET_PDEATHSIG = 1
 _CLOCK_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
-_libc = ctypes.CDLL(None, use_errno=True)
 
 
 class StudyRun(Strict):
@@ -87,6 +85,7 @@ class Subject:
         gc.collect()
         gc.disable()
         gc.freeze()
+        self._cpu_ns = 0
         self._cpu_ns = sorted(self._rehearse() for _ in range(REHEARSALS))[REHEARSALS // 2]
 
     def strike(self, index: int, fault: FaultSpec, seed: int) -> StudyRun:
@@ -123,8 +122,8 @@ class Subject:
         if pid == 0:
             status = os.EX_SOFTWARE
             with suppress(BaseException):
-                _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-                if os.getppid() == worker and os.read(waits, 1):
+                die_with_parent(worker)
+                if os.read(waits, 1):
                     self._run()
                     status = os.EX_OK
             os._exit(status)
@@ -161,7 +160,7 @@ class Subject:
 
     def _await(self, pid: int) -> int | None:
         """How the copy ended: its exit status (negative: the signal), None if it hung and was killed."""
-        cpu_limit_s = max(HANG_LEAST_S, HANG_TIMES * getattr(self, "_cpu_ns", 0) / 1e9)
+        cpu_limit_s = max(HANG_LEAST_S, HANG_TIMES * self._cpu_ns / 1e9)
         blocked = time.monotonic() + BLOCKED_S
         hung = False
         pidfd = os.pidfd_open(pid)
@@ -228,7 +227,7 @@ def main() -> None:
     """
     kernel, fault, *numbers = sys.argv[1:]
     seed, count, slot, slots, cpu = (int(number) for number in numbers)
-    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    die_with_parent()
     os.sched_setaffinity(0, {cpu})
     # What a struck copy says while it dies is of no use to anybody.
     os.dup2(os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC), 2)

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import ctypes
 import os
-import signal
 
-_PR_SET_PDEATHSIG = 1
+from services.bus.lifeline import die_with_parent
 
 _libc = ctypes.PyDLL(None, use_errno=True)
 """Other than CDLL and os.fork it leaves the interpreter as it is: node and scout go on alike."""
@@ -28,7 +27,5 @@ def fork_scout() -> bool:
     if pid:
         os.waitpid(pid, 0)
         return False
-    _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != node:
-        os._exit(1)
+    die_with_parent(node)
     return True
