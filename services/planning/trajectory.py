@@ -32,9 +32,7 @@ _CHECK_S = 0.025  # so fine that nothing exceeds a limit between two checks
 _STRETCHES_MAX = 8
 _SLOWEST = 3.0  # times the first guess; a start that leads away from the path only gets worse with time
 _STRETCH_TOLERANCE = 1.01  # in time, so 1.01 in speed and 1.01^2 in acceleration
-_AIM = (
-    0.98  # of the limits: with the tolerance still below them, also for what departs from such a trajectory
-)
+_AIM = 0.98  # of the limits: what departs from such a trajectory stays below them, too
 _TURN_FIRST_RAD = math.radians(35.0)  # beyond this off the nose, the camera would not see the way
 _SOME_WAY_M = 2.0
 _STANDING_M_S = 0.3
