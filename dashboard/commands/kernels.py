@@ -8,6 +8,7 @@ import time
 from collections import Counter
 
 import click
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -97,14 +98,15 @@ def _summary(kernel: str, found: Counter[str], per_second: float) -> KernelSumma
 
 
 def _table(lines: list[KernelSummary]) -> Table:
-    table = Table(title="faults in kernels alone, % of the injected (95 % Wilson)")
-    for column in ("kernel", "injected", *RESULTS, "of SDC tolerable", "per s"):
+    title = "faults in kernels alone: % of the hit ones, 95 % Wilson; tol.: SDC within tolerance"
+    table = Table(title=title, box=SIMPLE)
+    for column in ("kernel", "hit", *RESULTS, "tol.", "per s"):
         table.add_column(column, justify="left" if column == "kernel" else "right")
     for line in lines:
         cells = [
-            f"{100 * one.count / max(line.injected, 1):.1f} ({100 * one.low:.1f}-{100 * one.high:.1f})"
+            f"{100 * one.count / max(line.injected, 1):.0f} {100 * one.low:.0f}-{100 * one.high:.0f}"
             for one in line.shares.values()
         ]
-        count = f"{line.injected} of {line.attempted}"
+        count = f"{line.injected}/{line.attempted}"
         table.add_row(line.kernel, count, *cells, str(line.tolerable_sdc), f"{line.per_second:.0f}")
     return table
