@@ -151,9 +151,9 @@ KERNELS: Mapping[str, Kernel] = MappingProxyType({kernel.name: kernel for kernel
 
 
 def aimed_at(fault: FaultSpec) -> str:
-    """The stage that a fault strikes."""
+    """The stage that a fault strikes; one that an own stack replaces goes by its own name."""
     if fault.level == "instruction":
-        return KERNELS[fault.target].stage
+        return KERNELS[fault.target].stage if fault.target in KERNELS else fault.target
     from services.bus.states import members  # noqa: PLC0415 - the table is cheap to import
 
     return members(fault.target)[0].stage

@@ -7,9 +7,11 @@ checks it against the kernel's own view first.
 from __future__ import annotations
 
 import os
-import threading
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+
+from services.bus.process_stat import process_stat
 
 PREFIX = "node"
 ALL = f"{PREFIX}/**"
@@ -17,18 +19,23 @@ ALL = f"{PREFIX}/**"
 
 @dataclass(frozen=True, slots=True)
 class Announcement:
-    """A node's claim about its process. ``start_ticks`` is field 22 of /proc/PID/stat."""
+    """A node's claim about its process. ``start_ticks`` is field 22 of /proc/PID/stat.
+
+    ``executable`` are device and inode of what the process runs, if that is not our own interpreter.
+    """
 
     name: str
     pid: int
     tid: int
     start_ticks: int
     boot_id: str
+    executable: tuple[int, int] | None = None
 
     @property
     def key(self) -> str:
         """The key of the liveliness token."""
-        return f"{PREFIX}/{self.name}/{self.pid}/{self.tid}/{self.start_ticks}/{self.boot_id}"
+        runs = "" if self.executable is None else "/{}.{}".format(*self.executable)
+        return f"{PREFIX}/{self.name}/{self.pid}/{self.tid}/{self.start_ticks}/{self.boot_id}{runs}"
 
     @classmethod
     def parse(cls, key: str) -> Announcement:
@@ -36,25 +43,29 @@ class Announcement:
 
         :raises ValueError: if the key is not of the form that :attr:`key` writes.
         """
-        prefix, name, pid, tid, start_ticks, boot_id = key.split("/")
+        prefix, name, pid, tid, start_ticks, boot_id, *runs = key.split("/")
         if prefix != PREFIX:
             message = f"not an announcement: {key}"
             raise ValueError(message)
-        return cls(name, int(pid), int(tid), int(start_ticks), boot_id)
+        executable = None
+        if runs:
+            device, inode = runs[0].split(".")
+            executable = int(device), int(inode)
+        return cls(name, int(pid), int(tid), int(start_ticks), boot_id, executable)
 
 
-def announcement(name: str) -> Announcement:
-    """The claim of the calling process, whose kernels run on the calling thread."""
-    pid = os.getpid()
-    return Announcement(name, pid, threading.get_native_id(), start_ticks(pid), boot_id())
+def announcement(name: str, pid: int | None = None) -> Announcement:
+    """The claim for a process, the calling one unless told; its kernels run on its first thread."""
+    pid = os.getpid() if pid is None else pid
+    return Announcement(name, pid, pid, start_ticks(pid), boot_id())
 
 
 def start_ticks(pid: int) -> int:
     """When a process started, in clock ticks since boot: with the pid, an identity within one boot."""
-    stat = Path(f"/proc/{pid}/stat").read_text()
-    return int(stat.rpartition(")")[2].split()[19])
+    return process_stat(pid).start_ticks
 
 
+@cache
 def boot_id() -> str:
     """The identity of this boot of this machine."""
     return Path("/proc/sys/kernel/random/boot_id").read_text().strip()

@@ -8,7 +8,7 @@ import numpy as np
 
 from services.bus.mission import FaultSpec
 
-_MANTISSA_BITS = {32: 23, 64: 52}  # IEEE 754 binary32 and binary64
+MANTISSA_BITS = {32: 23, 64: 52}  # IEEE 754 binary32 and binary64
 
 
 def groups(
@@ -36,7 +36,7 @@ def groups(
 
 
 def _field(name: str, element_bits: int) -> tuple[int, int]:
-    mantissa = _MANTISSA_BITS[element_bits]
+    mantissa = MANTISSA_BITS[element_bits]
     return {
         "mantissa": (0, mantissa),
         "exponent": (mantissa, element_bits - 1),

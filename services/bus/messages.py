@@ -28,6 +28,7 @@ from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__RegionOfInterest
 from rosbags.typesys.stores.ros2_jazzy import std_msgs__msg__Header as Header
 
 __all__ = [
+    "Alarm",
     "CameraInfo",
     "CollisionCheck",
     "Goal",
@@ -55,6 +56,7 @@ __all__ = [
     "TwistWithCovariance",
     "Vector3",
     "decode",
+    "definition",
     "encode",
     "header",
     "type_hash",
@@ -123,6 +125,10 @@ MESSAGES = {
     "zenfi_msgs/msg/Injection": """
         string record
     """,
+    # What was found wrong with an output: the JSON of services.bus.detection.AlarmRecord. In recordings only.
+    "zenfi_msgs/msg/Alarm": """
+        string record
+    """,
     "octomap_msgs/msg/Octomap": """
         std_msgs/Header header
         bool binary
@@ -142,6 +148,7 @@ ImuBatch = TYPESTORE.types["zenfi_msgs/msg/ImuBatch"]
 Injection = TYPESTORE.types["zenfi_msgs/msg/Injection"]
 Mission = TYPESTORE.types["zenfi_msgs/msg/Mission"]
 Task = TYPESTORE.types["zenfi_msgs/msg/Task"]
+Alarm = TYPESTORE.types["zenfi_msgs/msg/Alarm"]
 CollisionCheck = TYPESTORE.types["zenfi_msgs/msg/CollisionCheck"]
 Trajectory = TYPESTORE.types["zenfi_msgs/msg/Trajectory"]
 Octomap = TYPESTORE.types["octomap_msgs/msg/Octomap"]
@@ -172,6 +179,12 @@ def header(stamp_ns: int, frame_id: str) -> Header:
     """A header with a virtual-time stamp."""
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
     return Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=frame_id)
+
+
+def definition(message_type: str) -> str:
+    """The text of a type's .msg file, without comments; names of other types have their package."""
+    whole: str = TYPESTORE.generate_msgdef(message_type, ros_version=2)[0]
+    return whole.partition("=" * 80)[0].strip()
 
 
 def type_hash(message_type: str) -> str:

@@ -12,10 +12,13 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from services.bus.airframe import AirframeDefinition
+from services.bus.detection import DetectorSpec
 from services.bus.equipment import Camera, Imu, Mapping, Motion, Odometry, Wind
 from services.bus.model import Strict
+from services.bus.own_stack import OwnStack, OwnStage
 from services.bus.platform import PlatformDefinition
 from services.bus.profiles import PROFILES
+from services.bus.topics import PLANNER, Topic
 from services.bus.world import WorldDefinition
 
 Seed = int
@@ -143,7 +146,7 @@ class Site(Strict):
     hit: int = Field(default=0, ge=0)
     steps: int = Field(default=0, ge=0)
     code: str = Field(default="", description="bytes of the instruction")
-    registers: str = Field(default="", description="hash of those that it reads, addresses left out")
+    registers: str = Field(default="", description="hash of those that it reads")
 
 
 class Trigger(Strict):
@@ -216,8 +219,20 @@ class MissionSpec(Strict):
     mapping: Mapping = Mapping()
     motion: Motion = Motion()
     wind: Wind = Wind()
+    detector: DetectorSpec | None = None
+    stack: OwnStack | None = None
     fault: FaultSpec | None = None
     limits: Limits = Limits()
+
+    def own_stage(self, stage: str) -> OwnStage | None:
+        """What takes a stage's place, if anything."""
+        return None if self.stack is None else self.stack.of(stage)
+
+    def kernels_before(self, topic: Topic) -> tuple[str, ...]:
+        """The kernels that at least run between a topic's trigger and its message."""
+        if self.own_stage(topic.publisher) is not None:
+            return (topic.publisher,)
+        return tuple(self.planner if name == PLANNER else name for name in topic.after)
 
     @property
     def world_name(self) -> str:

@@ -1,64 +1,65 @@
 """The runtime of a node: inputs and outputs by virtual time, kernels with their latencies.
 
 A stage's file declares inputs, loops over :meth:`Node.spin`, calls its kernels within
-:meth:`Node.kernel` and publishes; everything about time, order, loss and dying is here. The
-simulator, which owns the clock, calls :meth:`Node.advance` and :meth:`Node.promise` instead.
+:meth:`Node.kernel` and publishes. The simulator, which owns the clock, calls :meth:`Node.advance` and
+:meth:`Node.promise` instead.
+
+A node has one thread and no part in the bus: its courier (:mod:`services.bus.courier`), a process of its
+own, sends and receives for it and settles what may be seen when. So all that a node executes, and where
+its memory lies, follows from the flight alone.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import queue
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any, Literal, Self
 
-import numpy as np
-import zenoh
-
-from services.bus import announce, session
-from services.bus.horizon import NEVER_NS, Stamped, earliest_activation, next_activation
+from services.bus import line, session
+from services.bus.detection import AlarmRecord
+from services.bus.horizon import NEVER_NS, Stamped
 from services.bus.latency import Latency
-from services.bus.messages import Horizon, Injection, MalformedMessageError, decode, encode
+from services.bus.line import Answer, Line
+from services.bus.messages import Injection, encode
 from services.bus.mission import MissionSpec
 from services.bus.model import Strict
 from services.bus.platform import KernelLatency
-from services.bus.ports import Input, Output, as_it_is, promise_of
+from services.bus.ports import Input, as_it_is
 from services.bus.recovery import Recovery
 from services.bus.scout import fork_scout
 from services.bus.source_fault import SourceFault
-from services.bus.topics import HORIZON_TYPE, PLANNER, TOPICS, published_by
+from services.bus.topics import STAGES, TOPICS, published_by
 from services.bus.vitals import Vitals
 
-PATIENCE_S = 0.05
-"""Wall time without any message after which a waiting node asks the recorder for what it missed."""
-
-LINKING_S = 0.2
-"""Longest wait for links to all other nodes; one may be dead."""
-
 GATE_TIMEOUT_S = 60.0
-FLUSH_S = 10.0
+VERDICT_TIMEOUT_S = 600.0
+"""Wall time. A detector that hangs is killed long before, and then the question ends unanswered."""
+
+ALARM_TIMEOUT_S = 60.0
+
+DETECTOR = "detector"
+"""Among the latencies: that of one check."""
+
 GATE_SIGNAL = signal.SIGURG
 """Marks the beginning and the end of an armed call to the tracer; ignored by default."""
 
 SCOUT = b"scout"
 """The injector's answer at the gate that asks for a scout, after which the node asks again."""
 
-LIFE_SHIFT = 32
-
-
-class BusError(Exception):
-    """The bus failed us: our own failure, never a result."""
+TOPIC_NUMBERS = {name: number for number, name in enumerate(TOPICS)}
 
 
 class NodeSetup(Strict):
     """What a node is told when it is started.
 
     ``life`` counts its starts, ``start_ns`` is the virtual time at which it is there, ``published``
-    says how many messages of its topics exist, ``resume_from`` where its inputs begin.
+    says how many messages of its topics exist, ``resume_from`` where its inputs begin; ``clock`` is the
+    page of the flight's clock in real time.
     """
 
     name: str
@@ -70,16 +71,17 @@ class NodeSetup(Strict):
     start_ns: int = 0
     published: dict[str, int] = {}
     resume_from: dict[str, int] = {}
+    clock: Path | None = None
 
 
 class Node:
-    """One process on the bus."""
+    """One stage, at its end of the line."""
 
-    def __init__(self, setup: NodeSetup, meeting: session.Meeting, vitals: Vitals) -> None:
+    def __init__(self, setup: NodeSetup, courier: Line, vitals: Vitals) -> None:
         self.name = setup.name
         self.spec = setup.spec
         self.now_ns = setup.start_ns
-        self.session = session.open_session(meeting, self.name)
+        self._courier = courier
         self._setup = setup
         self._fault = setup.spec.fault
         self._page = vitals.page
@@ -92,114 +94,70 @@ class Node:
         self._source_fault = (
             SourceFault(fault, setup.spec.seed) if fault is not None and fault.level == "source" else None
         )
-        self.recovery = Recovery(self.count, self._corrupt)
-        self._inbox: queue.SimpleQueue[tuple[str, zenoh.Sample]] = queue.SimpleQueue()
+        self.recovery = Recovery(self, setup.spec.detector)
         self._inputs: dict[str, Input] = {}
-        self._declared: list[Any] = []
-        self._heard: dict[str, Any] = {}
-        self._accepted_ns = setup.start_ns - 1
-        self._serial = setup.life << LIFE_SHIFT
-        self._promised: tuple[int, ...] = ()
+        self._watched: list[str] = []
         self._tick: AbstractContextManager[None] | None = None
-        topics = published_by(self.name)
-        self._outputs = {
-            topic.name: Output(
-                self.name, topic, self._lookahead_ns(topic.after), setup.published.get(topic.name, 0)
-            )
-            for topic in topics
+        self._busy: dict[str, tuple[int, int]] = {}
+        self._published = {
+            topic.name: setup.published.get(topic.name, 0) for topic in published_by(self.name)
         }
-        self._rank = topics[0].rank
-        for output in self._outputs.values():
-            output.declare(self.session)
-        self._horizon = self.session.declare_publisher(
-            session.horizon_key(self.name), congestion_control=zenoh.CongestionControl.BLOCK
-        )
-
-    def _lookahead_ns(self, kernels: tuple[str, ...]) -> int:
-        names = (self.spec.planner if name == PLANNER else name for name in kernels)
-        return sum(self._latencies[name].least_ns for name in names)
 
     # -- declaring ---------------------------------------------------------------------------------
 
     def input(self, name: str, parse: Callable[[Any], Any] = as_it_is) -> Input:
         """Subscribe to a topic; ``parse`` as in :class:`Input`."""
-        topic = TOPICS[name]
-        first_seq = self._setup.resume_from.get(name, 0)
-        self._inputs[name] = Input(
-            topic, self._rank, first_seq, self._setup.start_ns, parse, lambda: self.count("malformed")
-        )
-        self._subscribe(session.topic_key(name), name)
-        self.watch(topic.publisher)
+        self._inputs[name] = Input(TOPICS[name], parse, lambda: self.count("malformed"))
         return self._inputs[name]
 
     def watch(self, stage: str) -> None:
-        """Listen to the promises of a stage."""
-        if stage not in self._heard:
-            self._heard[stage] = None
-            self._subscribe(session.horizon_key(stage), f"horizon/{stage}")
-
-    def _subscribe(self, key: str, label: str) -> None:
-        inbox = self._inbox
-        self._declared.append(
-            self.session.declare_subscriber(key, session.hand_over(lambda sample: inbox.put((label, sample))))
-        )
+        """Have the courier listen to the promises of a stage of which there is no input."""
+        self._watched.append(stage)
 
     def ready(self) -> None:
-        """Announce the node and wait until every node of the mission has announced itself.
+        """Be announced, and wait until every node of the mission is."""
+        self._declare({"inputs": list(self._inputs), "watched": self._watched})
 
-        A node that announces itself before gossip has linked it to the others would miss their first
-        messages and have to fetch them; so it waits a little, though nothing depends on it.
-        """
-        others = len(self._setup.expected) - 1
-        deadline = time.monotonic() + LINKING_S
-        while len(self.session.info.peers_zid()) < others and time.monotonic() < deadline:
-            time.sleep(0.0005)
-        own = announce.announcement(self.name)
-        self._declared.append(self.session.liveliness().declare_token(own.key))
-        missing = set(self._setup.expected) - {self.name}
-        with self.session.liveliness().declare_subscriber(announce.ALL, history=True) as tokens:
-            while missing:
-                missing.discard(announce.Announcement.parse(str(tokens.recv().key_expr)).name)
+    def _declare(self, declared: dict[str, object]) -> None:
+        self._await(line.READY, payload=json.dumps(declared).encode())
 
     # -- publishing --------------------------------------------------------------------------------
 
     def put(self, topic: str, message: Any) -> Any:
         """Publish ``message`` as ready at the node's present virtual time; what was published."""
         begin = time.perf_counter_ns()
-        self._corrupt(topic, message)
-        self._outputs[topic].put(message, self.now_ns)
-        self._page["published"][list(self._outputs).index(topic)] += 1
+        self.corrupt(topic, message)
+        self._tell(topic, message)
+        self._published[topic] += 1
         self._page["messaging_wall_ns"] += time.perf_counter_ns() - begin
+        self.recovery.published(topic)
         return message
 
-    def _corrupt(self, topic: str, message: Any) -> None:
+    def _tell(self, topic: str, message: Any) -> None:
+        payload = encode(message, TOPICS[topic].type)
+        self._courier.tell(line.PUT, TOPIC_NUMBERS[topic], self.now_ns, payload=payload)
+
+    def corrupt(self, topic: str, message: Any) -> None:
         """Let the mission's source-level fault strike ``message``, the topic's next, if it is the one."""
         fault = self._source_fault
         if fault is None or fault.topic != topic:
             return
-        record = fault.strike(message, self._outputs[topic].published, self.now_ns)
+        record = fault.strike(message, self._published[topic], self.now_ns)
         if record is not None:
-            told = Injection(record=record.model_dump_json(by_alias=True))
-            self.session.put(session.topic_key("injection"), encode(told, TOPICS["injection"].type))
+            self._tell("injection", Injection(record=record.model_dump_json(by_alias=True)))
+
+    def tell_alarm(self, record: AlarmRecord) -> None:
+        """Have an alarm recorded.
+
+        :raises BusError: if nobody answers for it.
+        """
+        if self.ask(session.alarm_key(self.name), record.model_dump_json(), ALARM_TIMEOUT_S) is None:
+            message = f"{self.name}: an alarm was not recorded"
+            raise session.BusError(message)
 
     def promise(self, base_ns: int, busy_until_ns: int) -> None:
         """Tell the followers that nothing more is triggered before ``base_ns``."""
-        until = [min(base_ns + output.lookahead_ns, NEVER_NS) for output in self._outputs.values()]
-        promised = (self._accepted_ns, busy_until_ns, *until)
-        if promised == self._promised:
-            return
-        begin = time.perf_counter_ns()
-        self._promised = promised
-        self._serial += 1
-        message = Horizon(
-            serial=self._serial,
-            accepted_ns=self._accepted_ns,
-            busy_until_ns=busy_until_ns,
-            until_ns=np.array(until, dtype=np.int64),
-            count=np.array([output.published for output in self._outputs.values()], dtype=np.uint64),
-        )
-        self._horizon.put(encode(message, HORIZON_TYPE))
-        self._page["messaging_wall_ns"] += time.perf_counter_ns() - begin
+        self._courier.tell(line.PROMISE, 0, base_ns, busy_until_ns)
 
     # -- the loop of a stage -----------------------------------------------------------------------
 
@@ -209,35 +167,18 @@ class Node:
         While the body of the loop runs, ``now_ns`` is the virtual time and every other input shows
         what may be seen at that time. Ends when no trigger can follow.
         """
-        page = self._page
-        others = [one for one in self._inputs.values() if one is not trigger]
+        place = list(self._inputs.values()).index(trigger)
         busy_until = self._setup.start_ns
         while True:
-            start = self._next_start(trigger, busy_until)
-            if start is None:
+            start, dropped, body = self._await(line.NEXT, place, busy_until)
+            if start == NEVER_NS:
                 return
-            self._await_inputs(others, start)
-            queued = trigger.channel.take(start, inclusive=True)
-            for one in others:
-                one.deliver(start)
+            self._deliver(body)
             self.now_ns = start
-            page["dropped"] += len(queued) - 1
+            self._page["dropped"] += dropped
             with self._step():
-                yield queued[-1]
-            self._accepted_ns = queued[-1].ready_ns
+                yield trigger.new[0]
             busy_until = self.now_ns
-
-    def _next_start(self, trigger: Input, busy_until_ns: int) -> int | None:
-        """Wait for the next trigger, passing on meanwhile how long the node will stay silent."""
-        channel = trigger.channel
-
-        def settled() -> bool:
-            self.promise(earliest_activation(channel, busy_until_ns), busy_until_ns)
-            exhausted = channel.head is None and channel.horizon_ns >= NEVER_NS
-            return exhausted or next_activation(channel, busy_until_ns) is not None
-
-        self._wait(settled)
-        return next_activation(channel, busy_until_ns)
 
     @contextmanager
     def _step(self) -> Iterator[None]:
@@ -253,14 +194,18 @@ class Node:
 
     @contextmanager
     def kernel(self, name: str) -> Iterator[None]:
-        """Run a kernel: counted, timed, stopped at the injector's gate if armed; takes virtual time."""
+        """Run a kernel: counted, timed, stopped at the injector's gate if armed; takes virtual time.
+
+        What was published before goes out: it does not depend on what becomes of us.
+        """
+        self._courier.send()
         page, index = self._page, self._setup.kernels.index(name)
         invocation = int(page["invocations"][index])
         # Before the call: one that ends in a crash is not to be armed again in the next life.
         page["invocations"][index] += 1
         armed = self._is_armed(name, invocation)
         scouting = armed and self._gate("enter", name, invocation)
-        begin = time.thread_time_ns()
+        begin = self._cpu_ns()
         if armed:
             signal.raise_signal(GATE_SIGNAL)
         try:
@@ -271,13 +216,17 @@ class Node:
                 os._exit(0)
         if armed:
             signal.raise_signal(GATE_SIGNAL)
-        spent = time.thread_time_ns() - begin
+        spent = self._cpu_ns() - begin
         if armed:
             self._gate("leave", name, invocation)
         page["cpu_ns"][index] += spent
         page["cpu_squares_ns2"][index] += float(spent) ** 2
         page["last_cpu_ns"][index] = spent
         self._elapse(name, invocation)
+
+    def elapse_check(self, number: int) -> None:
+        """Let the time of this node's ``number``-th check by the detector pass."""
+        self._elapse(DETECTOR, number)
 
     def _elapse(self, kernel: str, invocation: int) -> None:
         """Let the time pass that a call takes on the mission's platform."""
@@ -306,143 +255,79 @@ class Node:
         request = json.dumps(
             {"phase": phase, "kernel": kernel, "invocation": invocation, "virtual_time_ns": self.now_ns}
         )
+        question = line.question(session.gate_key(self.name), request.encode(), GATE_TIMEOUT_S)
         self._page["gated"] = 1
-        while True:
-            replies = self.session.get(session.gate_key(self.name), payload=request, timeout=GATE_TIMEOUT_S)
-            answers = [reply.ok.payload.to_bytes() for reply in replies if reply.ok is not None]
-            if not answers:
-                message = f"{self.name}: the injector did not answer at the gate of {kernel}"
-                raise BusError(message)
-            if answers[0] != SCOUT:
-                self._page["gated"] = 0
-                return False
-            if fork_scout():
+        while self._courier.is_answered(question, SCOUT):
+            if self._scout():
                 return True
+        self._page["gated"] = 0
+        return False
+
+    def _scout(self) -> bool:
+        """Send a scout ahead; True in the scout, False once it has ended."""
+        return fork_scout()
+
+    def _cpu_ns(self) -> int:
+        """Processor time of who computes."""
+        return time.thread_time_ns()
+
+    def verdict(self, payload: bytes) -> bytes | None:
+        """The detector's answer to a question; None if it is dead."""
+        self._page["asking"] = 1
+        answer = self.ask(session.verdict_key(self.name), payload, VERDICT_TIMEOUT_S)
+        self._page["asking"] = 0
+        return answer
 
     # -- the loop of the clock's owner -------------------------------------------------------------
 
     def advance(self, until_ns: int) -> None:
         """Wait until all that the stages publish before ``until_ns`` is here, and make it visible."""
-        inputs = list(self._inputs.values())
         if self._tick is not None:
             self._tick.__exit__(None, None, None)
-        self._await_inputs(inputs, until_ns)
-        for one in inputs:
-            one.deliver(until_ns)
+        self._deliver(self._await(line.ADVANCE, 0, until_ns).body)
         self.now_ns = until_ns
         self._tick = self._step()
         self._tick.__enter__()
 
     def busy_until(self, stage: str, accepted_ns: int) -> int:
         """Wait until ``stage`` has dealt with its trigger of that time; how long it is busy then."""
-        self._wait(lambda: self._heard[stage] is not None and self._heard[stage].accepted_ns >= accepted_ns)
-        return int(self._heard[stage].busy_until_ns)
+        if self._busy.get(stage, (None, 0))[0] != accepted_ns:
+            busy_until_ns = self._await(line.BUSY_UNTIL, STAGES.index(stage), accepted_ns).value
+            self._busy[stage] = accepted_ns, busy_until_ns
+        return self._busy[stage][1]
 
     def skip(self) -> None:
         """Count a message that was not made because nobody would have taken it up."""
         self._page["dropped"] += 1
 
-    def count(self, what: Literal["malformed", "outdated", "alarms", "recomputed"]) -> None:
-        """Count a message that was refused, or an output that was alarmed or made again."""
+    def count(self, what: Literal["malformed", "outdated", "alarms", "recomputed", "ungated"]) -> None:
+        """Count a message that was refused, or an output that was alarmed, made again or not judged."""
         self._page[what] += 1
 
-    # -- receiving ---------------------------------------------------------------------------------
+    # -- asking ------------------------------------------------------------------------------------
 
-    def _await_inputs(self, inputs: Sequence[Input], now_ns: int) -> None:
-        """Wait until all that may be seen at ``now_ns`` is here."""
-        self._wait(lambda: all(one.complete(now_ns) for one in inputs))
+    def ask(self, key: str, payload: bytes | str, timeout_s: float) -> bytes | None:
+        """Ask whoever answers for ``key`` on the bus; None if nobody does in time, or it dies."""
+        asked = payload.encode() if isinstance(payload, str) else payload
+        answer = self._await(line.ASK, 0, round(timeout_s * 1e9), key.encode() + b"\0" + asked)
+        return answer.body if answer.value else None
 
-    def _wait(self, settled: Callable[[], bool]) -> None:
-        """Take in messages until ``settled``; ask the recorder when nothing comes."""
-        patience = PATIENCE_S
-        while not settled():
-            begin = time.perf_counter_ns()
-            try:
-                label, sample = self._inbox.get(timeout=patience)
-            except queue.Empty:
-                self._page["waiting_wall_ns"] += time.perf_counter_ns() - begin
-                self._recover()
-                patience = min(2 * patience, 1.0)
-                continue
-            self._page["waiting_wall_ns"] += time.perf_counter_ns() - begin
-            self._take_in(label, sample)
-            while not self._inbox.empty():
-                self._take_in(*self._inbox.get())
+    def _await(self, kind: int, place: int = 0, first: int = 0, payload: bytes = b"") -> Answer:
+        begin = time.perf_counter_ns()
+        answer = self._courier.ask(kind, place, first, payload=payload)
+        self._page["waiting_wall_ns"] += time.perf_counter_ns() - begin
+        return answer
 
-    def _take_in(self, label: str, sample: zenoh.Sample) -> None:
-        kind, _, stage = label.partition("/")
-        if kind == "horizon":
-            self._hear(stage, sample.payload.to_bytes())
-        else:
-            channel = self._inputs[label].channel
-            doubled = channel.duplicates
-            try:
-                channel.receive(session.stamped(sample))
-            except MalformedMessageError:
-                self.count("malformed")
-            if channel.duplicates == doubled:
-                return
-            # What comes again after the recorder's answer was not lost, only slower.
-            if self._page["recovered"] > 0:
-                self._page["recovered"] -= 1
-            else:
-                self.count("outdated")
+    def _deliver(self, body: bytes) -> None:
+        inputs = list(self._inputs.values())
+        come: list[list[Stamped]] = [[] for _ in inputs]
+        for place, message in line.unpack(body):
+            come[place].append(message)
+        for one, messages in zip(inputs, come, strict=True):
+            one.deliver(messages)
 
-    def _hear(self, stage: str, payload: bytes) -> None:
-        try:
-            message = promise_of(stage, payload)
-        except MalformedMessageError:
-            self.count("malformed")
-            return
-        heard = self._heard[stage]
-        if heard is None or message.serial > heard.serial:
-            self._heard[stage] = message
-        for topic, count, until_ns in zip(published_by(stage), message.count, message.until_ns, strict=True):
-            if topic.name in self._inputs:
-                self._inputs[topic.name].channel.promise(int(count), int(until_ns))
-
-    def _recover(self) -> None:
-        """Fetch from the recorder what was published before our subscription was known."""
-        for name, one in self._inputs.items():
-            known = one.channel.next_seq
-            for reply in self._ask(f"{session.HISTORY_KEY}/{name}", str(known)):
-                one.channel.receive(session.stamped(reply))
-            self._page["recovered"] += one.channel.next_seq - known
-        for stage in self._heard:
-            for reply in self._ask(f"{session.HISTORY_KEY}/horizon/{stage}", ""):
-                self._hear(stage, reply.payload.to_bytes())
-
-    def _ask(self, key: str, payload: str) -> Iterator[zenoh.Sample]:
-        replies = self.session.get(
-            key, payload=payload, consolidation=zenoh.ConsolidationMode.NONE, timeout=10.0
-        )
-        for reply in replies:
-            if reply.ok is not None:
-                yield reply.ok
-
-    def flush(self) -> None:
-        """Wait until the recorder has our last word: what a session has not sent when it closes is lost.
-
-        :raises BusError: if it does not get it.
-        """
-        deadline = time.monotonic() + FLUSH_S
-        while not any(
-            decode(reply.payload.to_bytes(), HORIZON_TYPE).serial >= self._serial
-            for reply in self._ask(f"{session.HISTORY_KEY}/horizon/{self.name}", "")
-        ):
-            if time.monotonic() > deadline:
-                message = f"{self.name}: the recorder does not answer"
-                raise BusError(message)
-            time.sleep(0.001)
-
-    def close(self) -> None:
-        """Close the session."""
-        self.session.close()  # type: ignore[no-untyped-call]
-
-    def __enter__(self) -> Node:
+    def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self.flush()
-        self.close()
+    def __exit__(self, *_: object) -> None:
+        self._courier.close()

@@ -6,8 +6,10 @@ from typing import Literal
 
 from pydantic import Field
 
+from services.bus.detection import DetectionReport
 from services.bus.mission import MissionSpec, Trigger
 from services.bus.model import Strict
+from services.bus.propagation import Propagation
 
 MissionResult = Literal["success", "collision", "no_path", "timeout", "stack_failure"]
 NodeResult = Literal["golden", "benign", "sdc", "unpaired", "crash", "hang"]
@@ -50,7 +52,7 @@ class InjectionRecord(Strict):
 
     status: Literal["injected", "not_activated", "not_reached", "diverged", "failed"]
     reason: str = Field(default="", description="why, where the status is not `injected` or only in part")
-    mode: Literal["exact", "occurrence", "cpu_time"] = "cpu_time"
+    mode: Literal["exact", "occurrence", "rehearsed", "cpu_time"] = "cpu_time"
     node: str
     kernel: str = Field(description="empty for a source-level fault")
     invocation: int = Field(description="of the kernel, or number of the message; from 0")
@@ -72,7 +74,6 @@ class InjectionRecord(Strict):
     width_bits: int = 0
     element_bits: int = Field(default=0, description="of the floating-point numbers in it; 0 for none")
     bits: list[int] = []
-    holds_address: bool = Field(default=False, description="whether the register's value lies in memory")
     before: str = ""
     after: str = ""
     read_back: str = ""
@@ -86,6 +87,11 @@ class InjectionRecord(Strict):
     resampled: int = Field(
         default=0, description="sites passed over: system call, nothing eligible, outside the scope"
     )
+
+
+def repeatable(record: InjectionRecord) -> InjectionRecord:
+    """The part of a record that is the same in every repetition: no pids, no wall times."""
+    return record.model_copy(update={"pid": 0, "tid": 0, "pause_us": 0.0, "threads_stopped": 0, "scouts": 0})
 
 
 class KernelUse(Strict):
@@ -111,6 +117,7 @@ class NodeReport(Strict):
     outdated: int = Field(default=0, description="messages that it refused because there were newer ones")
     alarms: int = Field(default=0, description="outputs that were found wrong")
     recomputed: int = Field(default=0, description="outputs that were made again")
+    ungated: int = Field(default=0, description="outputs without a verdict: the detector had died")
     compute_s: float = 0.0
     messaging_s: float = 0.0
     waiting_s: float = 0.0
@@ -125,6 +132,16 @@ class TopicReport(Strict):
     diverged_at_s: float | None = None
 
 
+class RecordingReport(Strict):
+    """What a recording holds."""
+
+    messages: int = Field(description="of the flight; what is drawn for viewers is not counted")
+    dropped: int = Field(description="lost because the disk was too slow")
+    late: int = Field(default=0, description="injections and alarms that were told too late to be in order")
+    size_bytes: int
+    problem: str = Field(default="", description="why the file is not complete, as the system says")
+
+
 class Outcome(Strict):
     """The result of one mission."""
 
@@ -137,9 +154,13 @@ class Outcome(Strict):
     nodes: dict[str, NodeReport]
     topics: dict[str, TopicReport]
     injection: InjectionRecord | None = None
+    detection: DetectionReport | None = None
     golden: GoldenTwin | None = None
+    recording: RecordingReport | None = None
+    propagation: Propagation | None = Field(default=None, description="of a recorded flight with a fault")
     refused_messages: int = Field(default=0, description="not recorded: no sequence number, or an old one")
     recovered_messages: int = Field(default=0, description="late deliveries fetched again from the recorder")
+    fixed_pids: bool = Field(default=False, description="nodes had the pids that they have in every flight")
 
 
 class GoldenTwin(Strict):

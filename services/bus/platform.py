@@ -19,8 +19,12 @@ class KernelLatency(Strict):
 
 
 class PlatformDefinition(Strict):
-    """A companion computer: the latency of each kernel. ``source`` says where the figures come from."""
+    """A companion computer: the latency of each kernel, and of a check of each detection scheme.
+
+    ``source`` says where the figures come from.
+    """
 
     name: str = Field(min_length=1, max_length=60)
     source: str
     kernels: dict[str, KernelLatency] = Field(min_length=1)
+    detectors: dict[str, KernelLatency] = {}

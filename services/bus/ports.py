@@ -1,4 +1,4 @@
-"""Inputs and outputs of a node: topics as a stage sees them at its present virtual time."""
+"""Inputs and outputs of a node: topics as its stage sees them, and as its courier does."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import zenoh
 
 from services.bus import session
 from services.bus.horizon import Channel, Stamped
-from services.bus.messages import MalformedMessageError, decode, encode
+from services.bus.messages import MalformedMessageError, decode
 from services.bus.topics import HORIZON_TYPE, Topic, published_by
 
 
@@ -35,40 +35,25 @@ def as_it_is(message: Any) -> Any:
 
 
 class Input:
-    """A subscribed topic.
+    """A subscribed topic as the stage sees it.
 
     ``parse`` makes of a decoded message what the stage works with, and raises
     :class:`MalformedMessageError` if it makes no sense; ``refused`` is told of each such message.
     """
 
-    def __init__(
-        self,
-        topic: Topic,
-        stage_rank: int,
-        first_seq: int,
-        start_ns: int,
-        parse: Callable[[Any], Any],
-        refused: Callable[[], None],
-    ) -> None:
+    def __init__(self, topic: Topic, parse: Callable[[Any], Any], refused: Callable[[], None]) -> None:
         self.topic = topic
-        self.channel = Channel(first_seq, start_ns if topic.qos == "stream" else 0)
-        self.before_only = topic.rank >= stage_rank
         self.new: list[Stamped] = []
         self._parse = parse
         self._refused = refused
         self._recent: deque[Stamped] = deque(maxlen=RECENT)
         self._latest: Any = None
 
-    def complete(self, now_ns: int) -> bool:
-        """Whether everything that the stage may see at ``now_ns`` is here."""
-        horizon = self.channel.horizon_ns
-        return horizon >= now_ns if self.before_only else horizon > now_ns
-
-    def deliver(self, now_ns: int) -> None:
-        """Make visible what is ready at ``now_ns``."""
-        self.new = self.channel.take(now_ns, inclusive=not self.before_only)
-        if self.new:
-            self._recent.extend(self.new)
+    def deliver(self, messages: list[Stamped]) -> None:
+        """Make visible what has become ready."""
+        self.new = messages
+        if messages:
+            self._recent.extend(messages)
             self._latest = None
 
     def read(self, message: Stamped) -> Any | None:
@@ -96,27 +81,41 @@ class Input:
         return None
 
 
-class Output:
+class Inlet:
+    """A subscribed topic as it comes from the bus."""
+
+    def __init__(self, topic: Topic, stage_rank: int, first_seq: int, start_ns: int) -> None:
+        self.topic = topic
+        self.channel = Channel(first_seq, start_ns if topic.qos == "stream" else 0)
+        self.before_only = topic.rank >= stage_rank
+
+    def complete(self, now_ns: int) -> bool:
+        """Whether everything that the stage may see at ``now_ns`` is here."""
+        horizon = self.channel.horizon_ns
+        return horizon >= now_ns if self.before_only else horizon > now_ns
+
+    def take(self, now_ns: int) -> list[Stamped]:
+        """Remove and return what the stage may see at ``now_ns``."""
+        return self.channel.take(now_ns, inclusive=not self.before_only)
+
+
+class Outlet:
     """A published topic: numbers, stamps and sends messages."""
 
-    def __init__(self, owner: str, topic: Topic, lookahead_ns: int, published: int) -> None:
-        self.topic = topic
+    def __init__(
+        self, on: zenoh.Session, owner: str, topic: Topic, lookahead_ns: int, published: int
+    ) -> None:
+        """Declare the publisher. Nothing may be lost on the way, so it waits rather than drops."""
         self.lookahead_ns = lookahead_ns
         self.published = published
         self._gid = session.publisher_gid(owner, topic.name)
-        self._publisher: zenoh.Publisher | None = None
-
-    def declare(self, on: zenoh.Session) -> None:
-        """Declare the publisher. Nothing may be lost on the way, so it waits rather than drops."""
         self._publisher = on.declare_publisher(
-            session.topic_key(self.topic.name),
+            session.topic_key(topic.name),
             congestion_control=zenoh.CongestionControl.BLOCK,
             encoding=zenoh.Encoding.APPLICATION_CDR,
         )
 
-    def put(self, message: Any, ready_ns: int) -> None:
-        """Publish ``message`` as ready at ``ready_ns``."""
-        assert self._publisher is not None, "declare() first"  # noqa: S101 - wiring, not input
-        payload = encode(message, self.topic.type)
+    def put(self, payload: bytes, ready_ns: int) -> None:
+        """Publish a message as ready at ``ready_ns``."""
         self._publisher.put(payload, attachment=session.attach(self.published, ready_ns, self._gid))
         self.published += 1

@@ -10,29 +10,49 @@ ticks by the clock. Nobody promises anything before the end. Such a flight does 
 from __future__ import annotations
 
 import queue
-import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 from services.bus.clock import FlightClock
+from services.bus.courier import Courier
 from services.bus.horizon import NEVER_NS
+from services.bus.line import CourierLine, Line
 from services.bus.node import Node, NodeSetup
-from services.bus.ports import Input
+from services.bus.ports import Inlet
 from services.bus.session import Meeting
 from services.bus.topics import TICK_NS, published_by
 from services.bus.vitals import Vitals
 
 
 class RealtimeNode(Node):
-    """A node whose time is the flight's wall clock."""
+    """A node whose kernels take as long as they take."""
 
-    def __init__(self, setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
-        super().__init__(setup, meeting, vitals)
-        self._clock = FlightClock(meeting.clock)
+    def __init__(self, setup: NodeSetup, courier: Line, vitals: Vitals, clock: FlightClock) -> None:
+        super().__init__(setup, courier, vitals)
+        self._clock = clock
+
+    def _elapse(self, kernel: str, invocation: int) -> None:
+        self.now_ns = self._clock.now_ns()
+
+
+class RealtimeCourier(Courier):
+    """A courier whose time is the flight's wall clock."""
+
+    def __init__(
+        self,
+        setup: NodeSetup,
+        meeting: Meeting,
+        node: CourierLine,
+        node_pid: int,
+        vitals: Vitals,
+        clock: FlightClock,
+    ) -> None:
+        super().__init__(setup, meeting, node, node_pid, vitals)
+        self._clock = clock
         self._owns_clock = published_by(self.name)[0].trigger is None
 
-    def ready(self) -> None:
+    def _ready(self, inputs: list[str], watched: list[str], program: int | None = None) -> None:
         """As in virtual time; with everybody there, the simulator lets the time run."""
-        super().ready()
+        super()._ready(inputs, watched, program)
         if self._owns_clock:
             self._clock.begin()
 
@@ -41,11 +61,11 @@ class RealtimeNode(Node):
         if base_ns >= NEVER_NS:
             super().promise(base_ns, busy_until_ns)
 
-    def busy_until(self, stage: str, accepted_ns: int) -> int:
+    def _busy_until(self, stage: str, accepted_ns: int) -> int:
         """Nobody knows, so it may be free."""
         return 0
 
-    def _next_start(self, trigger: Input, busy_until_ns: int) -> int | None:
+    def _next_start(self, trigger: Inlet, busy_until_ns: int) -> int | None:
         channel = trigger.channel
         self._wait(lambda: channel.head is not None or channel.horizon_ns >= NEVER_NS)
         if channel.head is None:
@@ -53,27 +73,29 @@ class RealtimeNode(Node):
             return None
         return max(self._clock.now_ns(), channel.head.ready_ns)
 
-    def _await_inputs(self, inputs: Sequence[Input], now_ns: int) -> None:
+    def _await_inlets(self, inlets: Iterable[Inlet], now_ns: int) -> None:
         """Take in what has come until the clock shows ``now_ns``: at once for a stage, whose time it is."""
         while not self._inbox.empty():
             self._take_in(*self._inbox.get())
         while (left_ns := now_ns - self._clock.now_ns()) > 0:
-            begin = time.perf_counter_ns()
             try:
                 arrived = self._inbox.get(timeout=left_ns / 1e9)
             except queue.Empty:
                 continue
-            finally:
-                self._page["waiting_wall_ns"] += time.perf_counter_ns() - begin
             self._take_in(*arrived)
         if self._owns_clock and left_ns < -TICK_NS:
             self._page["late"] += 1
 
-    def _elapse(self, kernel: str, invocation: int) -> None:
-        self.now_ns = self._clock.now_ns()
 
-
-def join(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> Node:
+def join(setup: NodeSetup, courier: Line, vitals: Vitals) -> Node:
     """The node of this process, in the mission's kind of time."""
-    kind = RealtimeNode if setup.spec.clock == "realtime" else Node
-    return kind(setup, meeting, vitals)
+    if setup.clock is not None:
+        return RealtimeNode(setup, courier, vitals, FlightClock(setup.clock))
+    return Node(setup, courier, vitals)
+
+
+def courier(setup: NodeSetup, meeting: Meeting, node: CourierLine, node_pid: int, vitals: Vitals) -> Courier:
+    """The courier of a node, in the mission's kind of time."""
+    if setup.clock is not None:
+        return RealtimeCourier(setup, meeting, node, node_pid, vitals, FlightClock(setup.clock))
+    return Courier(setup, meeting, node, node_pid, vitals)

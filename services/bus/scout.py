@@ -11,21 +11,21 @@ import os
 
 from services.bus.lifeline import die_with_parent
 
-_libc = ctypes.PyDLL(None, use_errno=True)
-"""Other than CDLL and os.fork it leaves the interpreter as it is: node and scout go on alike."""
+_fork = ctypes.PyDLL(None).fork
+"""Other than that of CDLL and os.fork it leaves the interpreter as it is: node and scout go on alike."""
 
 
 def fork_scout() -> bool:
     """Fork one; True in the scout, False in the node once the scout has ended.
 
+    It leaves the node's memory as it was: a replay, which sends no scouts, is to find it alike. So no
+    object is kept while another one comes and goes.
+
     :raises OSError: if there can be none.
     """
     node = os.getpid()
-    pid = int(_libc.fork())
-    if pid < 0:
-        raise OSError(ctypes.get_errno(), "no scout could be forked")
-    if pid:
-        os.waitpid(pid, 0)
-        return False
-    die_with_parent(node)
-    return True
+    if _fork() == 0:
+        die_with_parent(node)
+        return True
+    os.waitpid(-1, 0)
+    return False

@@ -1,7 +1,7 @@
 """Zenoh sessions: who listens where, and how messages are keyed and stamped.
 
 All sessions of a mission meet in one private folder of Unix sockets (mode 0700), so nothing listens
-on a network and only the same user can join. The supervisor's session is the router, nodes are peers
+on a network and only the same user can join. The supervisor's session is the router, couriers are peers
 that find each other by gossip; multicast scouting is off. Each mission has its own namespace.
 """
 
@@ -10,24 +10,28 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
-import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import zenoh
 from zenoh.handlers import Callback
 
 from services.bus.horizon import Stamped
-from services.bus.messages import MalformedMessageError, type_hash
+from services.bus.messages import MalformedMessageError
+from services.bus.ros2 import GID_BYTES, Attachment, data_key
 from services.bus.topics import TOPICS
 
 DOMAIN_ID = 0
+"""Within a mission; the bridge (``deploy/ros2``) has the domain that it is given."""
 LEASE_MS = 60_000
-"""A node that is stopped by the injector or by a debugger is not dead: the default of 10 s is too short."""
+"""A courier that a debugger or a loaded machine holds up is not dead: 10 s, the default, is too short."""
 
-_ATTACHMENT = struct.Struct("<qqB16s")
+
+class BusError(Exception):
+    """The bus failed us: our own failure, never a result."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +51,10 @@ class Meeting:
         return f"unixsock-stream/{self.folder}/{name}.sock"
 
 
-def open_session(meeting: Meeting, name: str, *, router: bool = False) -> zenoh.Session:
-    """Open the session of a node, or of the supervisor (``router``)."""
+def open_session(
+    meeting: Meeting, name: str, *, router: bool = False, more: Mapping[str, object] = MappingProxyType({})
+) -> zenoh.Session:
+    """Open the session of a courier, a sidecar or the supervisor (``router``), with ``more`` settings."""
     settings = {
         "mode": "router" if router else "peer",
         "namespace": meeting.namespace,
@@ -62,6 +68,7 @@ def open_session(meeting: Meeting, name: str, *, router: bool = False) -> zenoh.
         "transport/link/tx/lease": LEASE_MS,
         # A killed node must leave no shared-memory segment behind, and our messages are small.
         "transport/shared_memory/enabled": False,
+        **more,
     }
     config = zenoh.Config()
     for key, value in settings.items():
@@ -69,21 +76,37 @@ def open_session(meeting: Meeting, name: str, *, router: bool = False) -> zenoh.
     return zenoh.open(config)
 
 
+def open_visitor(meeting: Meeting) -> zenoh.Session:
+    """Open a session that only asks: nodes do not connect to it.
+
+    :raises zenoh.ZError: if nobody meets there.
+    """
+    config = zenoh.Config()
+    for key, value in {
+        "mode": "client",
+        "namespace": meeting.namespace,
+        "connect/endpoints": [meeting.endpoint("router")],
+        "connect/timeout_ms": 1000,
+        "connect/exit_on_failure": True,
+        "scouting/multicast/enabled": False,
+        "transport/shared_memory/enabled": False,
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
+
+
 def hand_over(take: Callable[[Any], None]) -> Callback[Any]:
     """A handler for ``take``, called on Zenoh's own thread: it may only put into a queue.
 
-    By default each subscriber has a thread of its own in between, one more for the injector to stop
-    and one more wake-up for each message.
+    By default each subscriber has a thread of its own in between, one more wake-up for each message.
     """
     return Callback(take, indirect=False)
 
 
 @functools.cache
 def topic_key(name: str) -> str:
-    """rmw_zenoh's data key: ``<domain>/<topic>/<DDS type>/<type hash>``."""
-    message_type = TOPICS[name].type
-    package, kind, short = message_type.split("/")
-    return f"{DOMAIN_ID}/{name}/{package}::{kind}::dds_::{short}_/{type_hash(message_type)}"
+    """rmw_zenoh's key of a topic's messages."""
+    return data_key(DOMAIN_ID, name, TOPICS[name].type)
 
 
 def horizon_key(stage: str) -> str:
@@ -96,18 +119,28 @@ def gate_key(node: str) -> str:
     return f"gate/{node}"
 
 
+def verdict_key(stage: str) -> str:
+    """Where a stage asks the detector (``services/bus/verdicts.py``)."""
+    return f"verdict/{stage}"
+
+
+def alarm_key(stage: str) -> str:
+    """Where a stage has an alarm recorded, as JSON of :class:`services.bus.detection.AlarmRecord`."""
+    return f"alarm/{stage}"
+
+
 HISTORY_KEY = "history"
 """Where the recorder answers for messages that did not arrive."""
 
 
 def publisher_gid(node: str, topic: str) -> bytes:
     """The 16-byte identity of a publisher: the same in every repetition of a flight."""
-    return hashlib.blake2b(f"{node}/{topic}".encode(), digest_size=16).digest()
+    return hashlib.blake2b(f"{node}/{topic}".encode(), digest_size=GID_BYTES).digest()
 
 
 def attach(seq: int, ready_ns: int, gid: bytes) -> bytes:
     """rmw_zenoh's attachment: sequence number, source timestamp (virtual time), publisher."""
-    return _ATTACHMENT.pack(seq, ready_ns, len(gid), gid)
+    return Attachment(seq, ready_ns, gid).packed()
 
 
 def stamped(sample: zenoh.Sample) -> Stamped:
@@ -117,8 +150,9 @@ def stamped(sample: zenoh.Sample) -> Stamped:
     """
     attachment = sample.attachment
     raw = attachment.to_bytes() if attachment is not None else b""
-    if len(raw) != _ATTACHMENT.size:
-        message = f"{sample.key_expr}: attachment of {len(raw)} bytes, expected {_ATTACHMENT.size}"
-        raise MalformedMessageError(message)
-    seq, ready_ns, _, _ = _ATTACHMENT.unpack(raw)
+    try:
+        seq, ready_ns, _ = Attachment.unpacked(raw)
+    except ValueError as error:
+        message = f"{sample.key_expr}: {error}"
+        raise MalformedMessageError(message) from error
     return Stamped(seq, ready_ns, sample.payload.to_bytes())

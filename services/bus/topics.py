@@ -85,6 +85,20 @@ RECORDED: tuple[Topic, ...] = tuple(topic for topic in _TABLE if topic.recorded)
 
 STAGES: tuple[str, ...] = tuple(dict.fromkeys(topic.publisher for topic in RECORDED))
 
+MADE_FROM: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        **dict.fromkeys(("goal", "task", "camera_info"), ()),
+        **dict.fromkeys(("odometry", "imu", "depth"), ("command",)),
+        "mission": ("command", "trajectory"),
+        "cloud": ("depth", "odometry", "camera_info"),
+        "map": ("cloud", "odometry"),
+        "collision_check": ("map", "odometry", "trajectory"),
+        "trajectory": ("collision_check", "odometry", "map", "goal", "task"),
+        "command": ("odometry", "collision_check", "trajectory"),
+    }
+)
+"""What each recorded topic is made from: the ways by which an error passes on."""
+
 HORIZON_TYPE = "zenfi_msgs/msg/Horizon"
 """What every stage says of its own future silence (``services/bus/horizon.py``); never recorded."""
 

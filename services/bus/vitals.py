@@ -1,7 +1,7 @@
 """What a node leaves behind when it dies: a page of memory shared with its supervisor.
 
-The page outlives the node, so the supervisor can tell at which virtual time a node crashed, how many
-messages it had published and whether it still computes. It carries nothing that influences a flight.
+The page outlives the node, so the supervisor can tell at which virtual time a node crashed and whether
+it still computes. It carries nothing that influences a flight.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import os
 
 import numpy as np
 
-MAX_TOPICS = 8
 MAX_KERNELS = 16
 
 _LAYOUT = np.dtype(
@@ -19,28 +18,33 @@ _LAYOUT = np.dtype(
         ("step_ns", np.int64),  # virtual time of the step under way or last finished
         ("computing", np.int64),  # 1 within a step, 0 while waiting
         ("gated", np.int64),  # 1 while it waits at the injector's gate
+        ("program", np.int64),  # pid of the program that computes in the node's place, 0 for none
+        ("asking", np.int64),  # 1 while it waits for the detector's verdict
         ("steps", np.int64),
         ("dropped", np.int64),  # triggers superseded while busy
-        ("late", np.int64),  # ticks begun more than a tick late, in real time
-        ("recovered", np.int64),  # messages fetched again from the recorder
         ("malformed", np.int64),  # messages refused because they make no sense
         ("outdated", np.int64),  # messages refused because there are newer ones
         ("alarms", np.int64),  # outputs found wrong
         ("recomputed", np.int64),  # outputs made again
+        ("ungated", np.int64),  # outputs without a verdict, as the detector had died
         ("compute_wall_ns", np.int64),
         ("messaging_wall_ns", np.int64),
         ("waiting_wall_ns", np.int64),
-        ("published", np.int64, (MAX_TOPICS,)),  # by the order of the topic table
         ("invocations", np.int64, (MAX_KERNELS,)),  # by the order of the node's kernel names
         ("cpu_ns", np.int64, (MAX_KERNELS,)),
         ("cpu_squares_ns2", np.float64, (MAX_KERNELS,)),
         ("last_cpu_ns", np.int64, (MAX_KERNELS,)),
+        # What follows is the courier's: it depends on when things come, so no node may look at it.
+        ("late", np.int64),  # ticks begun more than a tick late, in real time
+        ("recovered", np.int64),  # messages fetched again from the recorder
+        ("unreadable", np.int64),  # messages refused because they are of no form
+        ("doubled", np.int64),  # messages refused because they are here already
     ]
 )
 
 
 class Vitals:
-    """One node's page. The supervisor creates it, the node maps the same file descriptor."""
+    """One node's page. The supervisor creates it, node and courier map the same file descriptor."""
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor

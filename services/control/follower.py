@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.bus.safety import BRAKE_BELOW_S, DECELERATION_M_S2
-from services.control.pid import STATE_SIZE, pid, stopping
+from services.control.pid import STATE_SIZE, pid, state_at, stopping
 
 WAYPOINT_FIELDS = 10
 """Numbers of a tracked waypoint: duration, x y z, vx vy vz, ax ay az."""
@@ -32,6 +32,9 @@ class Follower:
         self._collision_on: int | None = None
         self.state = np.zeros(STATE_SIZE)
         self._before = np.zeros(STATE_SIZE)
+        self._dropped_s = math.nan
+        self._flown: NDArray[np.float64] | None = None
+        self.curves = 0
 
     def take_trajectory(
         self, trajectory_seq: int, future_collision_seq: int, points: NDArray[np.float64]
@@ -69,9 +72,12 @@ class Follower:
         return pid(curve, now_s, position, velocity, yaw, period_s, self.state)
 
     def skip_waypoint(self, now_s: float) -> bool:
-        """Drop the waypoint that is flown to and take the next; False (and a stop) if there is none.
+        """Drop the waypoint that is flown to and take the next; False if none was dropped.
 
-        The last command's part in the controller's state is taken back: it is as if never made.
+        In its place comes a row of the very curve that leads past it, so that rows stay as far apart as they
+        were. Without a next one it stops. Of two neighbours only one is dropped: if that was no remedy, the
+        row behind is wrong, and to drop one waypoint after the other would end in a stop. The last command's
+        part in the controller's state is taken back: it is as if never made.
         """
         self.state[:] = self._before
         points = self._followed
@@ -81,13 +87,32 @@ class Follower:
         if ahead >= len(points) - 1:
             self._followed = None
             return False
-        self._followed = np.delete(points, ahead, axis=0)
+        if self._dropped_s in points[max(ahead - 1, 0) : ahead + 1, 0]:
+            return False
+        self._followed = past(points, ahead)
+        self._dropped_s = float(self._followed[ahead, 0])
         return True
 
     def curve(
         self, now_s: float, position: NDArray[np.float64], velocity: NDArray[np.float64], yaw: float
     ) -> NDArray[np.float64]:
-        """The trajectory to follow now: the newest, or a stop from the present state."""
+        """The trajectory to follow now: the newest, or a stop from the present state.
+
+        ``curves`` counts those that were taken up.
+        """
+        flown = self._taken_up(now_s, position, velocity, yaw)
+        self.curves += flown is not self._flown
+        self._flown = flown
+        return flown
+
+    def tracked(self, now_s: float) -> NDArray[np.float64]:
+        """The :func:`waypoints` of the curve that is followed."""
+        assert self._flown is not None  # noqa: S101 - asked for a command that was made
+        return waypoints(self._flown, now_s)
+
+    def _taken_up(
+        self, now_s: float, position: NDArray[np.float64], velocity: NDArray[np.float64], yaw: float
+    ) -> NDArray[np.float64]:
         if self._coming is not None:
             seq, points = self._coming
             if len(points) == 0 or now_s >= points[0, 0]:
@@ -104,6 +129,21 @@ class Follower:
             self._stop = stopping(now_s, position, velocity, yaw, DECELERATION_M_S2)
             self.state[:] = 0.0
         return self._stop
+
+
+def past(points: NDArray[np.float64], index: int) -> NDArray[np.float64]:
+    """The trajectory ``points`` (n, 12) without its row ``index``, from whose neighbours comes another one.
+
+    That has the time half-way between them and lies on the curve that the kernel flies from one to the
+    other. The first row goes without replacement.
+    """
+    rest = np.delete(points, index, axis=0)
+    if index == 0:
+        return rest
+    row = rest[index].copy()
+    row[0] = 0.5 * (rest[index - 1, 0] + rest[index, 0])
+    row[1:11] = state_at(rest, row[0])[:10]
+    return np.insert(rest, index, row, axis=0)
 
 
 def waypoints(curve: NDArray[np.float64], now_s: float) -> NDArray[np.float64]:

@@ -7,10 +7,11 @@ from functools import partial
 import numpy as np
 
 from services.bus.arrays import POINT_FIELDS, Floats, plan, state, vector, verdict
+from services.bus.line import Line
 from services.bus.messages import Twist, TwistStamped, header
 from services.bus.node import Node, NodeSetup
 from services.bus.realtime import join
-from services.bus.session import Meeting
+from services.bus.shown import shown_command
 from services.bus.topics import TICK_NS
 from services.bus.vitals import Vitals
 from services.control.follower import Follower
@@ -30,10 +31,10 @@ def warm_up() -> None:
     follower.command(1.0, *state, TICK_S)
 
 
-def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
+def main(setup: NodeSetup, courier: Line, vitals: Vitals) -> None:
     """Follow the newest trajectory, brake for what the collision check finds."""
     follower = Follower()
-    with join(setup, meeting, vitals) as node:
+    with join(setup, courier, vitals) as node:
         odometry, check, trajectory = (
             node.input("odometry", state),
             node.input("collision_check", verdict),
@@ -55,6 +56,7 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
                 "command",
                 partial(make, node, follower, now_s, position, velocity, yaw),
                 partial(command_message, node),
+                partial(shown, follower, now_s),
                 partial(follower.skip_waypoint, now_s),
             )
             node.put("command", command)
@@ -66,6 +68,11 @@ def make(
     """The command for the present state."""
     with node.kernel("pid"):
         return follower.command(now_s, position, velocity, yaw, TICK_S)
+
+
+def shown(follower: Follower, now_s: float, command: TwistStamped) -> Floats:
+    """What a detector sees of a command: with it the waypoint that it flies to."""
+    return shown_command(command, follower.curves, follower.tracked(now_s))
 
 
 def command_message(node: Node, command: Floats) -> TwistStamped:

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.bus.arrays import NO_PLAN, POINT_FIELDS, Plan, State, plan, state
+from services.bus.line import Line
 from services.bus.messages import header
 from services.bus.node import Node, NodeSetup
 from services.bus.realtime import join
-from services.bus.session import Meeting
+from services.bus.shown import shown_verdict
 from services.bus.vitals import Vitals
 from services.perception.collision import CollisionCounter, time_to_collision
 from services.perception.messages import (
@@ -48,11 +49,11 @@ def warm_up() -> None:
         time_to_collision(way, 0.0, occupancy)
 
 
-def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
+def main(setup: NodeSetup, courier: Line, vitals: Vitals) -> None:
     """Take up the newest frame whenever free."""
     mapping = setup.spec.mapping
     occupancy, counter = OccupancyMap(mapping.resolution_m, mapping.range_m), CollisionCounter()
-    with join(setup, meeting, vitals) as node:
+    with join(setup, courier, vitals) as node:
         depth, odometry = node.input("depth", depth_array), node.input("odometry", state)
         camera, trajectory = node.input("camera_info", pinhole), node.input("trajectory", plan)
         node.ready()
@@ -64,7 +65,10 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
             flown = NO_PLAN if trajectory.latest is None else trajectory.latest
             # No newer frame is there to recompute from: none is exposed while the stage is busy.
             (_, counter), check = node.recovery.sound(
-                "collision_check", partial(perceive, node, view, flown, occupancy, counter), itemgetter(0)
+                "collision_check",
+                partial(perceive, node, view, flown, occupancy, counter),
+                itemgetter(0),
+                shown_verdict,
             )
             node.put("collision_check", check)
 

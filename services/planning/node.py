@@ -10,10 +10,11 @@ import numpy as np
 
 from services.bus import rng
 from services.bus.arrays import Floats, place, plan_message, sound_goal, sound_task, state, verdict
+from services.bus.line import Line
 from services.bus.messages import header
 from services.bus.node import Node, NodeSetup
 from services.bus.realtime import join
-from services.bus.session import Meeting
+from services.bus.shown import shown_trajectory
 from services.bus.vitals import Vitals
 from services.kernels import GOAL_KERNELS
 from services.planning.goals import Goals, Standing, goals, warm_up_goals
@@ -38,11 +39,11 @@ def warm_up() -> None:
                 trajectory(path, start, grid)
 
 
-def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
+def main(setup: NodeSetup, courier: Line, vitals: Vitals) -> None:
     """Take up the newest verdict whenever free."""
     navigator: Navigator | None = None
     aims: Goals | None = None
-    with join(setup, meeting, vitals) as node:
+    with join(setup, courier, vitals) as node:
         check, odometry = node.input("collision_check", verdict), node.input("odometry", state)
         octomap, goal = node.input("map", sound_map), node.input("goal", sound_goal)
         task = node.input("task", sound_task)
@@ -66,7 +67,10 @@ def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
                 node.count("malformed")
                 continue
             points, message = node.recovery.sound(
-                "trajectory", partial(make, node, request, grid), partial(announced, node, request)
+                "trajectory",
+                partial(make, node, request, grid),
+                partial(announced, node, request),
+                shown_trajectory,
             )
             message.failed = navigator.answer(request, points).failed
             node.put("trajectory", message)

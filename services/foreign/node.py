@@ -1,0 +1,138 @@
+"""An executable's part in a mission: it is given what its stage may see, and what it answers is published."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+
+from services.bus import session
+from services.bus.horizon import Stamped
+from services.bus.line import Line
+from services.bus.messages import MalformedMessageError, decode
+from services.bus.node import GATE_TIMEOUT_S, Node, NodeSetup
+from services.bus.own_stack import OwnStage, trigger
+from services.bus.process_stat import listed_pid
+from services.bus.topics import TOPICS, published_by
+from services.bus.vitals import Vitals
+from services.foreign.program import Program, ProgramDiedError, ProgramError, Put, greeting, step
+
+_OURS = (70, 71)
+"""Exit statuses that mean something else where a node ends with them."""
+
+
+def main(setup: NodeSetup, courier: Line, vitals: Vitals, tracer_pid: int) -> None:
+    """Hand the executable what it may see, step by step, until no trigger can follow."""
+    own = setup.spec.own_stage(setup.name)
+    assert own is not None  # noqa: S101 - that is why we run
+    try:
+        with ForeignNode(setup, courier, vitals, own, tracer_pid) as node:
+            inputs = [node.input(name) for name in (trigger(setup.name), *own.inputs)]
+            node.ready()
+            for message in node.spin(inputs[0]):
+                seen = [(one.topic.name, new) for one in inputs[1:] for new in one.new]
+                node.look([*seen, (inputs[0].topic.name, message)])
+                with node.kernel(setup.name):
+                    made = node.compute()
+                for one in made:
+                    node.publish(one)
+        node.dismiss()
+    except ProgramDiedError as died:
+        _die_alike(died.status)
+
+
+class ForeignNode(Node):
+    """A node whose kernel is a program."""
+
+    def __init__(
+        self, setup: NodeSetup, courier: Line, vitals: Vitals, own: OwnStage, tracer_pid: int
+    ) -> None:
+        super().__init__(setup, courier, vitals)
+        fault = setup.spec.fault
+        self._own, self._tracer_pid = own, tracer_pid
+        self._struck = fault is not None and fault.level == "instruction" and fault.target == setup.name
+        mission = setup.spec.model_copy(update={"fault": None}).model_dump_json().encode()
+        self._told = [greeting(setup.name, setup.life, mission)]
+        self._now = b""
+        self._program = self._begun()
+        try:
+            self._program.await_ready()
+        except ProgramDiedError as error:
+            message = f"{self.name}: the program ended with status {error.status} before it was ready"
+            raise ProgramError(message) from error
+        self._page["program"] = listed_pid(self._program.pid)
+
+    def ready(self) -> None:
+        """Have the program announced, and wait until every node of the mission is."""
+        inputs = list(self._inputs)
+        self._declare({"inputs": inputs, "watched": [], "program": listed_pid(self._program.pid)})
+
+    def look(self, messages: list[tuple[str, Stamped]]) -> None:
+        """Take in what the next step is about."""
+        self._now = step(messages, self.now_ns)
+
+    def compute(self) -> list[Put]:
+        """Have the program do its step; what it publishes."""
+        self._program.tell(self._now)
+        if self._struck:
+            self._told.append(self._now)
+        return self._program.answer()
+
+    def publish(self, made: Put) -> None:
+        """Publish what the program has made.
+
+        :raises ProgramError: if it is no message of a topic of the stage.
+        """
+        topics = [topic.name for topic in published_by(self.name)]
+        if made.topic not in topics:
+            message = f"{self.name} publishes {', '.join(topics)}, not {made.topic!r}"
+            raise ProgramError(message)
+        try:
+            self.put(made.topic, decode(made.payload, TOPICS[made.topic].type))
+        except MalformedMessageError as error:
+            message = f"{made.topic}: {error}"
+            raise ProgramError(message) from error
+
+    def dismiss(self) -> None:
+        """Let the program end: the mission is over."""
+        self._program.dismiss()
+        self._program.kill()
+
+    def _begun(self) -> Program:
+        program = Program(self._own, self._tracer_pid)
+        program.tell(self._told[0])
+        return program
+
+    def _scout(self) -> bool:
+        """Have another process of the program go through the call in view of the injector.
+
+        It is told all that the program was told, so it stands where the program stands.
+        """
+        scout = self._begun()
+        try:
+            scout.await_ready()
+            for told in self._told[1:]:
+                scout.tell(told)
+                scout.answer()
+            request = json.dumps({"phase": "scout", "pid": listed_pid(scout.pid)})
+            self.ask(session.gate_key(self.name), request, GATE_TIMEOUT_S)
+            scout.tell(self._now)
+            scout.answer()
+        except (ProgramDiedError, ProgramError):
+            pass  # the injector has seen enough
+        finally:
+            scout.kill()
+        return False
+
+    def _cpu_ns(self) -> int:
+        return self._program.cpu_ns
+
+
+def _die_alike(status: int) -> None:
+    """End as the program has ended."""
+    if status < 0:
+        signal.signal(-status, signal.SIG_DFL) if -status != signal.SIGKILL else None
+        os.kill(os.getpid(), -status)
+    sys.stderr.flush()
+    os._exit(1 if status in _OURS else status)
