@@ -27,6 +27,7 @@ def strike_register(at: Standing, fault: FaultSpec, draw: np.random.Generator) -
         return None
     candidate, among = eligible[int(draw.integers(len(eligible)))]
     bits = draw_bits(fault, among, draw)
+    at.stop()
     if candidate.role == "destination":
         at.execute()
     found = _change(at, fault, candidate, bits)
@@ -114,6 +115,7 @@ def strike_memory(at: Standing, fault: FaultSpec, draw: np.random.Generator) -> 
     access, among = eligible[int(draw.integers(len(eligible)))]
     bits = draw_bits(fault, among, draw)
     address = address_of(access, at.registers)
+    at.stop()
     if access.role == "destination":
         at.execute()
     size = access.width_bits // 8
@@ -152,6 +154,7 @@ def strike_opcode(at: Standing, fault: FaultSpec, draw: np.random.Generator) -> 
 
     :raises AddressError: if its bytes cannot be changed, or not be restored.
     """
+    at.stop()  # the bytes that are put back are those that are read now
     corrupted = corrupt(at.instruction, at.process, fault, draw)
     if corrupted is None:
         return None
@@ -171,7 +174,9 @@ def strike_opcode(at: Standing, fault: FaultSpec, draw: np.random.Generator) -> 
     return _judged(fault, "the code did not take the change", found)
 
 
-ACTS: dict[str, Callable[[Standing, FaultSpec, np.random.Generator], Strike | None]] = {
+Act = Callable[[Standing, FaultSpec, np.random.Generator], Strike | None]
+
+ACTS: dict[str, Act] = {
     "bitflip": strike_register,
     "stuck_at": strike_register,
     "none": strike_register,

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import mmap
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from injector.process import Maps
+from injector.process import Mapping, Maps
 
 _PT_LOAD, _PT_NOTE = 1, 4
 _SHT_SYMTAB, _SHT_DYNSYM = 2, 11
@@ -79,6 +80,28 @@ def locate(pid: int, maps: Maps, module: str, build_id: str, offset: int) -> int
     return None
 
 
+def functions(pid: int, mapping: Mapping) -> Iterator[tuple[str, int]]:
+    """Name and address of every function that the file behind a piece of code defines and tells of.
+
+    Those that are chosen when the file is loaded (STT_GNU_IFUNC) are left out.
+    """
+    content = _content(pid, mapping.path)
+    if content is None or content[:6] != b"\x7fELF\x02\x01":
+        return
+    _, _, _, _, _, program, sections, _, _, _, programs, _, section_count, _ = _HEADER.unpack_from(content)
+    segments = [_PROGRAM.unpack_from(content, program + at * _PROGRAM.size) for at in range(programs)]
+    loaded = [
+        mapping.start - mapping.offset + start - virtual
+        for kind, _, start, virtual, _, size, _, _ in segments
+        if kind == _PT_LOAD and start <= mapping.offset < start + size + mmap.PAGESIZE
+    ]
+    for names, table in _tables(content, sections, section_count) if loaded else ():
+        for symbol in table[(table["info"] & 15 == _FUNCTIONS[0]) & (table["section"] != 0)]:
+            address = loaded[-1] + int(symbol["value"])
+            if mapping.start <= address < mapping.end:
+                yield _name(content, names + int(symbol["name"])), address
+
+
 def _content(pid: int, path: str) -> mmap.mmap | None:
     for candidate in (Path(f"/proc/{pid}/root{path}"), Path(path)):
         try:
@@ -103,15 +126,25 @@ def _build_id(notes: bytes) -> str:
 
 def _symbol(content: mmap.mmap, sections: int, count: int, address: int) -> str:
     """The function that covers an address; the full table is asked before that of exported names."""
+    for names, table in _tables(content, sections, count):
+        inside = table[(table["value"] <= address) & (address - table["value"] < table["size"])]
+        found = inside[np.isin(inside["info"] & 15, _FUNCTIONS)]
+        if len(found):
+            return _name(content, names + int(found[0]["name"]))
+    return ""
+
+
+def _tables(
+    content: mmap.mmap, sections: int, count: int
+) -> Iterator[tuple[int, np.ndarray[tuple[int], np.dtype[np.void]]]]:
+    """Each table of symbols, after where the names begin that it refers to."""
     headers = [_SECTION.unpack_from(content, sections + at * _SECTION.size) for at in range(count)]
     for wanted in (_SHT_SYMTAB, _SHT_DYNSYM):
         for _, kind, _, _, start, size, link, _, _, _ in headers:
-            if kind != wanted:
-                continue
-            table = np.frombuffer(content, _SYMBOL, size // _SYMBOL.itemsize, start)
-            inside = (table["value"] <= address) & (address - table["value"] < table["size"])
-            found = table[inside & np.isin(table["info"] & 15, _FUNCTIONS)]
-            if len(found):
-                name = headers[link][4] + int(found[0]["name"])
-                return content[name : content.find(b"\0", name)].decode(errors="replace")
-    return ""
+            if kind == wanted:
+                table = np.frombuffer(content, _SYMBOL, size // _SYMBOL.itemsize, start)
+                yield headers[link][4], table
+
+
+def _name(content: mmap.mmap, at: int) -> str:
+    return content[at : content.find(b"\0", at)].decode(errors="replace")

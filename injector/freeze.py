@@ -8,13 +8,14 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, Self, TypeVar
 
 from injector import ptrace
+from injector.pause import Pause
 from injector.process import has_ended, sleeps, thread_count, threads, tracer_of
 from injector.ptrace import Report
 
@@ -31,7 +32,8 @@ QUIET_LIMIT_S = 0.1
 """Wall time for the threads beside the struck one to be asleep all at once."""
 
 _TRAPS = ("step", "timer", "gate")
-_FAULTS = frozenset({signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGTRAP})
+T = TypeVar("T")
+FAULTS = frozenset({signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGTRAP})
 
 
 class FreezeError(Exception):
@@ -52,27 +54,31 @@ class Thread:
 class Tracees:
     """The threads that we trace. To be used by one thread, within ``with``, which always detaches.
 
-    ``threads_stopped`` and ``pause_us`` tell of the last pause: how many threads stood, and the time from
-    the first interrupt to the last resume.
+    ``threads_stopped`` tells how many threads stood in the last pause.
     """
 
-    def __init__(self, gate_signal: int | None = None, *, forks: bool = False) -> None:
+    def __init__(self, gate_signal: int | None = None, *, forks: bool = False, ours: bool = False) -> None:
         """Trace nobody yet. Who gets ``gate_signal`` stands, and the signal is taken away.
 
-        With ``forks``, whom the tracees fork is traced, too.
+        With ``forks``, whom the tracees fork is traced, too. What is ``ours`` dies with us.
         """
         self._gate_signal = gate_signal
         self._forks = forks
+        self._ours = ours
         self.threads: dict[int, Thread] = {}
         self.threads_stopped = 0
-        self.pause_us = 0.0
-        self._pause_begin_ns = 0
+        self._pause = Pause()
         self.leave_out: Callable[[int], object] = lambda _pause_ns: None
         """Told how long everybody stood, just before they go on."""
         self._pids: list[int] = []
         self._ending: list[Thread] = []
 
-    def __enter__(self) -> Tracees:
+    @property
+    def pause_us(self) -> float:
+        """Wall time from the first interrupt to the last resume of the last pause."""
+        return self._pause.length_us
+
+    def __enter__(self) -> Self:
         self._signal_mask = ptrace.hear_of_children()
         return self
 
@@ -105,7 +111,7 @@ class Tracees:
         if tid in self.threads:
             return False
         try:
-            ptrace.seize(tid, forks=self._forks)
+            ptrace.seize(tid, forks=self._forks, ours=self._ours)
         except ptrace.GoneError:
             return False
         except ptrace.NotPermittedError as error:
@@ -162,11 +168,11 @@ class Tracees:
 
         :raises FreezeError: if one does not stop.
         """
-        self._pause_begin_ns = time.monotonic_ns()
-        self._stop(self.threads.values())
+        self._pause.begin()
+        self._stop_every()
         # Reading the list of threads while some come and go can miss one.
         while sum(self._seize_threads(pid) for pid in self._incomplete()):
-            self._stop(self.threads.values())
+            self._stop_every()
         self.threads_stopped = len(self.threads)
 
     def quieten(self, thread: Thread) -> bool:
@@ -181,6 +187,12 @@ class Tracees:
         if asleep:
             self._stop(others)
         return bool(asleep)
+
+    def _stop_every(self) -> None:
+        """Stop all threads, those too that others have started while they were being stopped."""
+        self._stop(self.threads.values())
+        while any(thread.report is None for thread in self.threads.values()):
+            self._stop(self.threads.values())
 
     def _stop(self, threads: Iterable[Thread]) -> None:
         several = list(threads)
@@ -206,23 +218,29 @@ class Tracees:
         return [pid for pid in self._pids if thread_count(pid) != held[pid]]
 
     def _await_stops(self, threads: Sequence[Thread]) -> None:
-        def running() -> list[Thread]:
-            return [one for one in threads if one.report is None and self.threads.get(one.tid) is one]
+        running = deque(threads)
 
         def all_stand() -> Literal[True] | None:
-            for thread in running():
-                self._look(thread)
-            return None if running() else True
+            # One after the other: each must be seen, but none more often than need be.
+            while running and (not self._runs(running[0]) or self._look(running[0]) is not None):
+                running.popleft()
+            return None if running else True
 
-        if ptrace.wait_until(all_stand, STOP_LIMIT_S / 100):
+        if self._wait(all_stand, STOP_LIMIT_S / 100):
             return
         # The first thread of a process reports its end only when all others have ended.
-        for thread in [thread for thread in running() if has_ended(thread.tid)]:
+        for thread in [one for one in running if self._runs(one) and has_ended(one.tid)]:
             self._ending.append(self.threads.pop(thread.tid))
-        if not ptrace.wait_until(all_stand, STOP_LIMIT_S):
-            names = ", ".join(f"{thread.tid} of process {thread.pid}" for thread in running())
+        if not self._wait(all_stand, STOP_LIMIT_S):
+            names = ", ".join(f"{thread.tid} of process {thread.pid}" for thread in running)
             message = f"did not stop within {STOP_LIMIT_S} s: thread {names}"
             raise FreezeError(message)
+
+    def _runs(self, thread: Thread) -> bool:
+        return thread.report is None and self.threads.get(thread.tid) is thread
+
+    def _wait(self, look: Callable[[], T | None], limit_s: float) -> T | None:
+        return ptrace.wait_until(look, limit_s, yielding=not self._pause.under_way)
 
     def resume_all(self) -> None:
         """Let all threads run, in the order in which they were seized; they stay traced."""
@@ -230,16 +248,11 @@ class Tracees:
         for thread in self.threads.values():
             if thread.report is not None:
                 self._resume(thread)
-        self._end_pause()
+        self._pause.end()
 
     def _leave_pause_out(self) -> None:
-        if self._pause_begin_ns:
-            self.leave_out(time.monotonic_ns() - self._pause_begin_ns)
-
-    def _end_pause(self) -> None:
-        if self._pause_begin_ns:
-            self.pause_us = (time.monotonic_ns() - self._pause_begin_ns) / 1e3
-            self._pause_begin_ns = 0
+        if self._pause.under_way:
+            self.leave_out(self._pause.so_far_ns)
 
     def resume(self, thread: Thread) -> None:
         """Let one standing thread run."""
@@ -279,7 +292,7 @@ class Tracees:
             thread.report = None
             with suppress(ptrace.GoneError):  # killed; its end is reported next
                 ptrace.step(thread.tid)
-            report = ptrace.wait_until(lambda: self._look(thread), deadline - time.monotonic())
+            report = self._wait(lambda: self._look(thread), deadline - time.monotonic())
             if report is None:
                 return "stuck"
             if report.kind == "gone":
@@ -288,15 +301,17 @@ class Tracees:
                 return "stepped"
             if report.kind == "gate":
                 return "ended"
-            if report.kind == "signal" and report.signal in _FAULTS:
+            if report.kind == "signal" and report.signal in FAULTS:
                 return "faulted"
 
-    def trace(self, thread: Thread, most: int) -> list[int]:
+    def trace(self, thread: Thread, most: int, until: int = 0) -> list[int]:
         """Let a standing thread execute up to ``most`` instructions, until it reports; where they lie.
+
+        If it comes to stand at ``until``, that is the end, too.
 
         Waits without end: for a thread that somebody kills if it hangs.
         """
-        addresses, report = ptrace.trace(thread.tid, most)
+        addresses, report = ptrace.trace(thread.tid, most, until)
         thread.report = Report("step")
         if report is not None:
             self._take_in(thread, report)
@@ -308,13 +323,13 @@ class Tracees:
         :raises FreezeError: if one cannot be stopped, which is needed to let go of it. The others are free.
         """
         try:
-            self._stop(self.threads.values())
+            self._stop_every()
         finally:
             self._leave_pause_out()
             for thread in list(self.threads.values()):
                 self._detach(thread)
             self.threads.clear()
-            self._end_pause()
+            self._pause.end()
             ptrace.wait_until(self._reaped, END_LIMIT_S)
 
     def _detach(self, thread: Thread) -> None:
@@ -330,7 +345,7 @@ class Tracees:
         while ptrace.timer_trap_pending(thread.tid):
             thread.report = None
             ptrace.resume(thread.tid)
-            ptrace.wait_until(lambda: self._look(thread), STOP_LIMIT_S)
+            self._wait(lambda: self._look(thread), STOP_LIMIT_S)
 
     def _reaped(self) -> Literal[True] | None:
         """Take in the ends of threads that were killed: their parent hears of it only after us."""

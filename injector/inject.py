@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -59,13 +60,14 @@ class TargetError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """A thread that stands before an instruction, all others standing too."""
+    """A thread that stands before an instruction; the others run until ``stop`` is called, if not stopped."""
 
     tracees: Tracees = field(repr=False)
     thread: Thread
     process: Process = field(repr=False)
     registers: Registers
     instruction: Instruction
+    stop: Callable[[], object] = field(repr=False)
 
     def execute(self) -> None:
         """Let the thread execute it.

@@ -5,13 +5,25 @@ from __future__ import annotations
 import json
 import os
 import queue
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from typing import Any
 
 import zenoh
 
+from injector.program import (
+    NeverCalledError,
+    ProgramScout,
+    alike,
+    at_the_function,
+    entry_of,
+    programs,
+    survey_function,
+)
+from injector.ptrace import hear_of_children
 from injector.rehearsal import rehearse
+from injector.scope import within
 from injector.scout import Scout, sent_ahead, survey
 from injector.session import inject
 from injector.way import Call
@@ -25,7 +37,7 @@ from services.bus.outcome import InjectionRecord
 from services.bus.session import Meeting
 from services.bus.topics import TOPICS
 from services.bus.vitals import Vitals
-from services.kernels import KERNELS
+from services.kernels import aimed_at
 
 
 def warm_up() -> None:
@@ -37,14 +49,16 @@ def main(setup: NodeSetup, meeting: Meeting, _: Vitals) -> None:
     fault = setup.spec.fault
     assert fault is not None  # noqa: S101 - the injector is started with a fault only
     rehearse(fault)
+    hear_of_children()  # before Zenoh has threads: they hold SIGCHLD back, too, and none takes it from us
     with session.open_session(meeting, setup.name) as bus:
         clock = FlightClock(meeting.clock) if setup.spec.clock == "realtime" else None
-        gate = Gate(bus, KERNELS[fault.target].stage, clock)
+        gate = Gate(bus, aimed_at(fault), clock, programs(setup.spec))
         publisher = bus.declare_publisher(session.topic_key("injection"))
         token = bus.liveliness().declare_token(announce.announcement(setup.name).key)
         if gate.wait():
             with suppress(FlightOverError):
-                record = inject_at(gate, fault, setup.spec.seed)
+                own = setup.spec.own_stage(aimed_at(fault))
+                record = inject_at(gate, fault, setup.spec.seed, None if own is None else own.function)
                 text = record.model_dump_json(by_alias=True)
                 publisher.put(encode(Injection(record=text), TOPICS["injection"].type))
             while gate.wait():
@@ -52,15 +66,18 @@ def main(setup: NodeSetup, meeting: Meeting, _: Vitals) -> None:
         token.undeclare()  # type: ignore[no-untyped-call]
 
 
-def inject_at(gate: Gate, fault: FaultSpec, seed: int) -> InjectionRecord:
+def inject_at(gate: Gate, fault: FaultSpec, seed: int, function: str | None) -> InjectionRecord:
     """Inject into the node that is at the gate, while every node stands; scouts tell where, if need be.
+
+    ``function`` is that of a program in the stage's place.
 
     :raises FlightOverError: if the flight ends meanwhile.
     """
     request = gate.request()
     trigger = fault.trigger if fault.trigger is not None else Trigger()
     trigger = trigger.model_copy(update={"invocation": int(request["invocation"])})
-    target = gate.announced[KERNELS[fault.target].stage]
+    target = gate.announced[aimed_at(fault)]
+    draw = rng.generator(seed, f"site {fault.target}", fault.seed)
     scouts = 0
 
     @contextmanager
@@ -72,12 +89,36 @@ def inject_at(gate: Gate, fault: FaultSpec, seed: int) -> InjectionRecord:
         if not gate.wait():
             raise FlightOverError
 
+    @contextmanager
+    def ahead_of_program() -> Iterator[ProgramScout]:
+        nonlocal scouts
+        scouts += 1
+        gate.send_scout()
+        if not gate.wait():
+            raise FlightOverError
+        with at_the_function(alike(target, int(gate.request()["pid"])), function or "", gate.open) as scout:
+            yield scout
+        if not gate.wait():
+            raise FlightOverError
+
     if trigger.site is None and trigger.cpu_ns is None:
-        trigger = survey(ahead, trigger, rng.generator(seed, f"site {fault.target}", fault.seed))
+        if function is None:
+            trigger = survey(ahead, trigger, draw, lambda process: within(fault, process))
+        else:
+            try:
+                trigger = survey_function(ahead_of_program, trigger, draw)
+            except NeverCalledError as error:
+                return never_called(gate, fault, trigger, str(error))
     own = os.getpid()
     others = [one for _, one in sorted(gate.announced.items()) if one.pid not in (target.pid, own)]
     call = Call(
-        target, int(request["virtual_time_ns"]), armed=gate.open, marked=True, leave_out=gate.leave_out
+        target,
+        int(request["virtual_time_ns"]),
+        armed=gate.open,
+        finished=gate.is_asked,
+        marked=function is None,
+        entry=0 if function is None else entry_of(target, function),
+        leave_out=gate.leave_out,
     )
     record = inject(
         call,
@@ -88,15 +129,42 @@ def inject_at(gate: Gate, fault: FaultSpec, seed: int) -> InjectionRecord:
     return record.model_copy(update={"scouts": scouts})
 
 
+def never_called(gate: Gate, fault: FaultSpec, trigger: Trigger, reason: str) -> InjectionRecord:
+    """The record of a step in which a program has no use for the function that was to be struck."""
+    if not gate.wait():
+        raise FlightOverError
+    gate.open()
+    return InjectionRecord(
+        status="not_reached",
+        reason=reason,
+        node=aimed_at(fault),
+        kernel=fault.target,
+        invocation=trigger.invocation or 0,
+        model=fault.model,
+        trigger=trigger,
+    )
+
+
 class FlightOverError(Exception):
     """The simulator is gone."""
 
 
 class Gate:
-    """Where the armed node waits, and who is there. Zenoh's threads only fill the queue."""
+    """Where the armed node waits, and who is there. Zenoh's threads only fill the queue.
 
-    def __init__(self, bus: zenoh.Session, stage: str, clock: FlightClock | None) -> None:
+    ``programs`` are what is run in the place of stages.
+    """
+
+    def __init__(
+        self,
+        bus: zenoh.Session,
+        stage: str,
+        clock: FlightClock | None,
+        programs: Mapping[str, tuple[int, int]],
+    ) -> None:
         self._clock = clock
+        self._programs = programs
+        self._over = False
         self.announced: dict[str, Announcement] = {}
         self._waiting: zenoh.Query | None = None
         self._key = session.gate_key(stage)
@@ -119,11 +187,23 @@ class Gate:
 
     def wait(self) -> bool:
         """Wait until the node is at the gate; False once the simulator is gone."""
-        while True:
-            handle, event = self._events.get()
-            if handle(event):
-                self._waiting = event if handle is _is_query else None
-                return self._waiting is not None
+        while self._waiting is None and not self._over:
+            self._take_in()
+        return self._waiting is not None
+
+    def is_asked(self) -> bool:
+        """Whether the node is at the gate again, or the flight over: its call is."""
+        while self._waiting is None and not self._over and not self._events.empty():
+            self._take_in()
+        return self._waiting is not None or self._over
+
+    def _take_in(self) -> None:
+        handle, event = self._events.get()
+        if handle(event):
+            if handle is _is_query:
+                self._waiting = event
+            else:
+                self._over = True
 
     def request(self) -> dict[str, Any]:
         """What the node at the gate says of its call."""
@@ -148,9 +228,10 @@ class Gate:
         """Note who came or went; whether the flight is over by that."""
         one = Announcement.parse(str(sample.key_expr))
         if sample.kind == zenoh.SampleKind.PUT:
-            self.announced[one.name] = one
+            self.announced[one.name] = replace(one, executable=self._programs.get(one.name))
             return False
-        if self.announced.get(one.name) == one:
+        known = self.announced.get(one.name)
+        if known is not None and replace(known, executable=None) == replace(one, executable=None):
             del self.announced[one.name]
         return one.name == "sim"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,14 +36,14 @@ def corrupt(
 
     Bit i is bit i % 8 of byte i // 8. What would make a system call of it (or an instruction that shows
     the program that it is stepped) is drawn again: the call would ask the kernel for something arbitrary,
-    and may never return.
+    and may never return. With another model nothing is inverted.
     """
     code = process.read_code(instruction.address)
     size = len(instruction.code)
     among = groups(fault, 8 * size)
     for _ in range(DRAWS if among else 0):
         bits = draw_bits(fault, among, draw)
-        changed = inverted(code[:size], bits)
+        changed = inverted(code[:size], bits if fault.model == "opcode" else ())
         try:
             # It may have become longer and swallow what follows.
             after = decode((changed + code[size:])[:LONGEST_INSTRUCTION], instruction.address)
@@ -78,21 +77,9 @@ def execute(
         message = f"the code at {instruction.address:#x} is shared with other processes"
         raise AddressError(message)
     end = ""
-    try:
-        process.write_memory(instruction.address, corrupted.code)
-        read_back = process.read_memory(instruction.address, len(corrupted.code))
+    with process.changed_code(instruction.address, corrupted.code, instruction.code) as read_back:
         if read_back == corrupted.code:
             end = tracees.step(thread)
-    finally:
-        with suppress(AddressError) if end == "gone" else nullcontext():
-            _restore(process, instruction)
     if end == "faulted":
         return read_back, f"it raised signal {thread.signals[-1]}"
     return read_back, {"gone": "the thread was killed in it", "stuck": "it did not end"}.get(end, "")
-
-
-def _restore(process: Process, instruction: Instruction) -> None:
-    process.write_memory(instruction.address, instruction.code)
-    if process.read_memory(instruction.address, len(instruction.code)) != instruction.code:
-        message = f"the instruction at {instruction.address:#x} could not be restored"
-        raise AddressError(message)

@@ -7,13 +7,19 @@ import os
 import select
 from bisect import bisect_right
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 from services.bus.announce import Announcement, boot_id, start_ticks
+from services.bus.process_stat import process_stat
 
 LONGEST_INSTRUCTION = 15
 """Bytes (Intel SDM volume 2, section 2.3.11)."""
+
+
+END_LIMIT_MS = 1000
+"""Wall time for a killed process to be gone."""
 
 
 class IdentityError(Exception):
@@ -47,9 +53,9 @@ class Identity:
 
     @classmethod
     def announced(cls, claim: Announcement) -> Identity:
-        """What a node must be if its claim is true: nodes run our executable as our user."""
+        """What a node must be if its claim is true: nodes run our executable, or a known one, as our user."""
         own = cls.of(os.getpid())
-        return cls(claim.boot_id, claim.pid, claim.start_ticks, own.uid, own.executable)
+        return cls(claim.boot_id, claim.pid, claim.start_ticks, own.uid, claim.executable or own.executable)
 
     @classmethod
     def of(cls, pid: int) -> Identity:
@@ -99,10 +105,6 @@ class Maps:
         mapping = _mapping(self._lines[index])
         return mapping if address < mapping.end else None
 
-    def upper_halves(self) -> set[int]:
-        """The upper 32 bits of all addresses, where they are not 0."""
-        return {int(line.partition("-")[0], 16) >> 32 for line in self._lines} - {0}
-
     def code(self) -> Iterator[Mapping]:
         """The pieces that may be executed."""
         return (_mapping(line) for line in self._lines if "x" in line.split(maxsplit=2)[1])
@@ -141,9 +143,12 @@ class Process:
     @property
     def alive(self) -> bool:
         """Whether it has not ended."""
+        return not self._ends_within(0)
+
+    def _ends_within(self, limit_ms: int) -> bool:
         poll = select.poll()
         poll.register(self._pidfd, select.POLLIN)
-        return not poll.poll(0)
+        return bool(poll.poll(limit_ms))
 
     def verify(self) -> None:
         """Compare the process with what was expected.
@@ -210,6 +215,25 @@ class Process:
             message = f"the memory of process {self.pid} at {address:#x} cannot be written"
             raise AddressError(message)
 
+    @contextmanager
+    def changed_code(self, address: int, code: bytes, true: bytes) -> Iterator[bytes]:
+        """Have other bytes for code, and the true ones again afterwards; what is read back of them.
+
+        :raises AddressError: if it cannot be changed, or not be restored while the process lives.
+        """
+        try:
+            self.write_memory(address, code)
+            yield self.read_memory(address, len(code))
+        finally:
+            try:
+                self.write_memory(address, true)
+                restored = self.read_memory(address, len(true)) == true
+            except AddressError:
+                restored = False
+            if not restored and not self._ends_within(END_LIMIT_MS):
+                message = f"the instruction at {address:#x} could not be restored"
+                raise AddressError(message)
+
     def _mem(self) -> int:
         if self._memory is None:
             self._memory = os.open(f"/proc/{self.pid}/mem", os.O_RDWR | os.O_CLOEXEC)
@@ -257,10 +281,9 @@ def sleeps(tid: int) -> bool:
 def _state(tid: int) -> str:
     """The one letter of proc_pid_stat(5); Z if the thread is gone."""
     try:
-        stat = Path(f"/proc/{tid}/stat").read_text()
+        return process_stat(tid).state
     except OSError:
         return "Z"
-    return stat.rpartition(")")[2].split()[0]
 
 
 def tracer_of(tid: int) -> int:

@@ -13,22 +13,26 @@ import platform
 import signal
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
-_CONT, _SINGLESTEP, _DETACH = 7, 9, 17
+_PEEKUSER, _CONT, _SINGLESTEP, _DETACH, _SYSCALL = 3, 7, 9, 17, 24
 _SEIZE, _INTERRUPT, _LISTEN = 0x4206, 0x4207, 0x4208
 _GETEVENTMSG, _GETSIGINFO, _PEEKSIGINFO = 0x4201, 0x4202, 0x4209
-_GETREGSET, _SETREGSET = 0x4204, 0x4205
+_GETREGSET, _SETREGSET, _GET_SYSCALL_INFO = 0x4204, 0x4205, 0x420E
 _WORD = struct.Struct("=Q")
 _GENERAL_SIZE = 512
 _PROGRAM_COUNTER_AT = {"x86_64": 128, "aarch64": 256}[platform.machine()]  # in NT_PRSTATUS
 _STOPPED_AT_TRAP = signal.SIGTRAP << 8 | 0x7F
-_O_TRACEFORK, _O_TRACECLONE = 0x2, 0x8
+_O_TRACESYSGOOD, _O_TRACEFORK, _O_TRACECLONE, _O_TRACEEXEC, _O_EXITKILL = 0x1, 0x2, 0x8, 0x10, 0x100000
 _WALL = 0x40000000
-_EVENT_FORK, _EVENT_CLONE, _EVENT_STOP = 1, 3, 128
+_EVENT_STOP = 128
+_EVENTS: dict[int, Kind] = {1: "new_process", 3: "new_thread", 4: "program"}  # PTRACE_EVENT_FORK, CLONE, EXEC
+_STOPPED_AT_CALL = signal.SIGTRAP | 0x80
+_CALL_INFO = struct.Struct("=B3xIQQ7Q")  # which end, architecture, where it is, stack; number, arguments
+_ENTERED = 1
 _SIGINFO_SIZE = 128
 _QUEUE = 64  # real-time signals aside, a signal is queued at most once
 _STOP_SIGNALS = frozenset({signal.SIGSTOP, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU})
@@ -42,6 +46,9 @@ _OUR_TRAPS: dict[int, Kind] = {_TRAP_BRKPT: "step", _TRAP_TRACE: "step", _TRAP_P
 SPIN_NS = 200_000
 """How long a wait polls before it sleeps: a single step takes 20 us, waking from sleep 15 us more."""
 
+PAUSE_SPIN_NS = 30_000
+"""The same in a pause, when our processor is not yielded: a stop on another one takes as long."""
+
 _SLICE_S = 0.001
 """Longest sleep of a wait: another thread of ours may have taken the SIGCHLD that was to end it."""
 
@@ -52,10 +59,22 @@ REMEDY = (
 
 T = TypeVar("T")
 Kind = Literal[
-    "gone", "interrupted", "group_stop", "new_thread", "new_process", "step", "timer", "gate", "signal"
+    "gone",
+    "interrupted",
+    "group_stop",
+    "new_thread",
+    "new_process",
+    "program",
+    "call",
+    "step",
+    "timer",
+    "gate",
+    "signal",
 ]
 
-_libc = ctypes.CDLL(None, use_errno=True)
+# These calls never wait. With the interpreter's lock let go of, another thread of ours could take it and then
+# be kept from running, and we with it.
+_libc = ctypes.PyDLL(None, use_errno=True)
 _ptrace = _libc.ptrace
 _ptrace.restype = ctypes.c_long
 _ptrace.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
@@ -78,14 +97,24 @@ class Report:
     """What a tracee reports: why it stands, or that it is gone.
 
     ``interrupted`` by :func:`interrupt` or newly attached; ``group_stop`` by a stop signal, of which
-    the whole process stands; ``new_thread`` after a clone, ``new_process`` after a fork; ``step`` and
-    ``timer`` are our own traps; ``gate`` is the signal by which a node marks where an armed call begins
+    the whole process stands; ``new_thread`` after a clone, ``new_process`` after a fork, ``program`` after an
+    exec; ``call`` before or after a call of the kernel; ``step`` and ``timer`` are our own traps; ``gate`` is
+    the signal by which a node marks where an armed call begins
     and ends (only :class:`injector.freeze.Tracees` knows which); ``signal`` is about to be delivered
-    unless the tracee is resumed without it.
+    unless the tracee is resumed without it. One that is ``gone`` ended by the ``signal`` or, without
+    one, with the ``exit_status``.
     """
 
     kind: Kind
     signal: int = 0
+    exit_status: int = 0
+
+
+class SystemCall(NamedTuple):
+    """A call of the kernel that a tracee is about to make."""
+
+    number: int
+    arguments: tuple[int, ...]
 
 
 def _call(request: int, tid: int, address: int = 0, data: int = 0) -> int:
@@ -103,12 +132,30 @@ def _call(request: int, tid: int, address: int = 0, data: int = 0) -> int:
     raise PtraceError(message)
 
 
-def seize(tid: int, *, forks: bool = False) -> None:
+def seize(tid: int, *, forks: bool = False, ours: bool = False) -> None:
     """Trace a thread without stopping it; threads that it starts are traced from their first instruction.
 
-    With ``forks``, so are the processes that it forks.
+    With ``forks``, so are the processes that it forks; what is ``ours`` dies with us.
     """
-    _call(_SEIZE, tid, data=_O_TRACECLONE | (_O_TRACEFORK if forks else 0))
+    _call(_SEIZE, tid, data=_O_TRACECLONE | (_O_TRACEFORK if forks else 0) | (_O_EXITKILL if ours else 0))
+
+
+def seize_program(tid: int) -> None:
+    """Trace a process that is about to execute another program, and what that asks of the kernel."""
+    _call(_SEIZE, tid, data=_O_TRACEEXEC | _O_TRACESYSGOOD)
+
+
+def resume_to_call(tid: int) -> None:
+    """Let a tracee run to the beginning or the end of a call of the kernel, where it reports."""
+    _call(_SYSCALL, tid)
+
+
+def system_call(tid: int) -> SystemCall | None:
+    """The call that a tracee stands before; None if it stands after one."""
+    told = ctypes.create_string_buffer(_CALL_INFO.size)
+    _call(_GET_SYSCALL_INFO, tid, _CALL_INFO.size, ctypes.addressof(told))
+    end, _, _, _, number, *arguments = _CALL_INFO.unpack(told.raw)
+    return SystemCall(number, tuple(arguments)) if end == _ENTERED else None
 
 
 def interrupt(tid: int) -> None:
@@ -181,8 +228,10 @@ def _registers(request: int, tid: int, kind: int, content: bytearray) -> int:
     return vector[1]
 
 
-def trace(tid: int, most: int) -> tuple[list[int], Report | None]:
+def trace(tid: int, most: int, until: int = 0) -> tuple[list[int], Report | None]:
     """Let a standing tracee execute up to ``most`` instructions: where each lies, and what ended them early.
+
+    If it comes to stand at ``until``, that is the end, too.
 
     Waits for each without end: only for a tracee that somebody kills if it hangs.
     """
@@ -194,12 +243,41 @@ def trace(tid: int, most: int) -> tuple[list[int], Report | None]:
     for _ in range(most):
         with suppress(GoneError):  # killed; its end is reported next
             _call(_GETREGSET, tid, NT_PRSTATUS, at_vector)
-            addresses.append(_WORD.unpack_from(registers, _PROGRAM_COUNTER_AT)[0])
+            address = _WORD.unpack_from(registers, _PROGRAM_COUNTER_AT)[0]
+            if address == until:
+                return addresses, None
+            addresses.append(address)
             _call(_SINGLESTEP, tid)
         _, status = os.waitpid(tid, _WALL)
         if status != _STOPPED_AT_TRAP:
             return addresses, _report(tid, status)
     return addresses, None
+
+
+def walk(tid: int, most: int, until: Collection[int]) -> tuple[int, Report | None]:
+    """Let a standing tracee execute up to ``most`` instructions, until it stands at one of ``until``.
+
+    How many it executed, and what ended them early. Waits as :func:`trace` does. x86-64 only.
+    """
+    for taken in range(1, most + 1):
+        with suppress(GoneError):
+            _call(_SINGLESTEP, tid)
+        _, status = os.waitpid(tid, _WALL)
+        if status != _STOPPED_AT_TRAP:
+            return taken, _report(tid, status)
+        if program_counter(tid) in until:
+            return taken, None
+    return most, None
+
+
+def program_counter(tid: int) -> int:
+    """Address of the instruction that a standing tracee executes next. x86-64 only."""
+    return _call(_PEEKUSER, tid, _PROGRAM_COUNTER_AT)
+
+
+def await_report(tid: int) -> Report:
+    """Wait, without end, for what a tracee has to report."""
+    return _report(tid, os.waitpid(tid, _WALL)[1])
 
 
 def poll(tid: int) -> Report | None:
@@ -214,28 +292,33 @@ def poll(tid: int) -> Report | None:
 def _report(tid: int, status: int) -> Report:
     """What the status of a wait tells."""
     if not os.WIFSTOPPED(status):
-        return Report("gone", os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0)
+        killed = os.WIFSIGNALED(status)
+        return Report("gone", os.WTERMSIG(status)) if killed else Report("gone", 0, os.WEXITSTATUS(status))
     number, event = os.WSTOPSIG(status), status >> 16
     if event == _EVENT_STOP:
         return Report("group_stop" if number in _STOP_SIGNALS else "interrupted", number)
-    if event == _EVENT_CLONE:
-        return Report("new_thread")
-    if event == _EVENT_FORK:
-        return Report("new_process")
+    if event in _EVENTS:
+        return Report(_EVENTS[event])
+    if number == _STOPPED_AT_CALL:
+        return Report("call")
     return _signal_report(tid, number)
 
 
 def _signal_report(tid: int, number: int) -> Report:
     if number != signal.SIGTRAP:
         return Report("signal", number)
-    siginfo = ctypes.create_string_buffer(_SIGINFO_SIZE)
     try:
-        _call(_GETSIGINFO, tid, data=ctypes.addressof(siginfo))
+        kind = _OUR_TRAPS.get(signal_code(tid))
     except GoneError:  # killed meanwhile; its end is reported next
         return Report("signal", number)
-    code = int.from_bytes(siginfo.raw[8:12], "little", signed=True)
-    kind = _OUR_TRAPS.get(code)
     return Report("signal", number) if kind is None else Report(kind)
+
+
+def signal_code(tid: int) -> int:
+    """Why a tracee that stands at a signal gets it: ``si_code`` of sigaction(2)."""
+    siginfo = ctypes.create_string_buffer(_SIGINFO_SIZE)
+    _call(_GETSIGINFO, tid, data=ctypes.addressof(siginfo))
+    return int.from_bytes(siginfo.raw[8:12], "little", signed=True)
 
 
 def hear_of_children() -> set[signal.Signals]:
@@ -243,11 +326,13 @@ def hear_of_children() -> set[signal.Signals]:
     return set(signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD}))  # type: ignore[arg-type]
 
 
-def wait_until(look: Callable[[], T | None], limit_s: float) -> T | None:
+def wait_until(look: Callable[[], T | None], limit_s: float, *, yielding: bool = True) -> T | None:
     """Call ``look`` until it finds something; None after ``limit_s``.
 
-    Polls for :data:`SPIN_NS`, then sleeps until a tracee reports.
+    Polls for :data:`SPIN_NS`, ``yielding`` to others meanwhile, or else for :data:`PAUSE_SPIN_NS`; then
+    sleeps until a tracee reports. Who yields where others have work gets on after a time slice of theirs.
     """
+    spin_ns = SPIN_NS if yielding else PAUSE_SPIN_NS
     begin = time.monotonic_ns()
     while True:
         found = look()
@@ -256,7 +341,7 @@ def wait_until(look: Callable[[], T | None], limit_s: float) -> T | None:
         waited_ns = time.monotonic_ns() - begin
         if waited_ns >= limit_s * 1e9:
             return None
-        if waited_ns > SPIN_NS:
+        if waited_ns > spin_ns:
             signal.sigtimedwait({signal.SIGCHLD}, _SLICE_S)
-        else:
+        elif yielding:
             os.sched_yield()  # tracees on our own processor need it to get anywhere

@@ -16,12 +16,12 @@ from services.bus import rng
 from services.bus.lifeline import die_with_parent
 from services.bus.mission import FaultSpec
 
-TIMES = 3
+TIMES = 5
 
 
 def rehearse(fault: FaultSpec) -> None:
-    """Strike a fork of ourselves, which ends with that. Only while we have no other thread."""
-    anything = FaultSpec(target=fault.target)
+    """Do all but the flip to a fork of ourselves, which ends then. Only while we have no other thread."""
+    nothing = FaultSpec(target=fault.target, model="none")
     own = os.getpid()
     pid = os.fork()
     if not pid:
@@ -34,8 +34,11 @@ def rehearse(fault: FaultSpec) -> None:
             tracees.seize([pid])
             for time in range(TIMES):
                 tracees.stop_all()
-                look(tracees.threads[pid], process, process.maps())
-                strike(tracees, tracees.threads[pid], process, anything, rng.generator(0, "rehearsal", time))
+                thread = tracees.threads[pid]
+                look(thread, process)
+                draw = rng.generator(0, "rehearsal", time)
+                strike(tracees, thread, process, nothing, draw, stop=tracees.stop_all)
+                tracees.resume_all()
     finally:
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)

@@ -142,21 +142,35 @@ class ScoutError(Exception):
     """The target sends no scout."""
 
 
+Scope = Callable[[Process], Callable[[int], bool]]
+"""Tells for a process whether the instruction at an address comes into question."""
+
+
+def _everywhere(_: Process) -> Callable[[int], bool]:
+    return lambda _: True
+
+
 def survey(
-    scouts: Callable[[], AbstractContextManager[Scout]], trigger: Trigger, draw: np.random.Generator
+    scouts: Callable[[], AbstractContextManager[Scout]],
+    trigger: Trigger,
+    draw: np.random.Generator,
+    scope: Scope = _everywhere,
 ) -> Trigger:
     """Draw where in the call the fault strikes; each scout that ``scouts`` yields is at its beginning.
 
-    *exact*: uniform over the call's instructions, if there are not too many. *occurrence*: a place by
-    thread time, then one of the passes through it, all alike. If its places are too busy: thread time.
+    *exact*: uniform over the call's instructions within the scope, if there are not too many. *occurrence*: a
+    place by thread time, the last in the scope on the way from there, then one of the passes through it, all
+    alike. If its places are too busy, or the scope is not met there: thread time.
     """
     with scouts() as scout:
         took_ns = scout.run()
     if took_ns <= SHORT_NS:
         with scouts() as scout:
             trace, ended = scout.trace(MOST_STEPS)
-            if ended:
-                step = int(draw.integers(len(trace)))
+            inside = scope(scout.process)
+            among = [at for at, address in enumerate(trace) if inside(address)]
+            if ended and among:
+                step = among[int(draw.integers(len(among)))]
                 site = approach(scout.process, trace, step).model_copy(update={"step": step})
                 return trigger.model_copy(update={"site": site})
     for _ in range(DRAWS):
@@ -164,7 +178,12 @@ def survey(
             if not scout.run_for(int(draw.random() * took_ns)):
                 continue
             trace, _ = scout.trace(WINDOW)
-            begin = rarest(scout.process, trace)
+            inside = scope(scout.process)
+            while trace and not inside(trace[-1]):
+                trace.pop()
+            if not trace:
+                continue
+            begin = rarest(scout.process, trace, inside)
             there = place(scout.process.pid, scout.process.maps(), trace[begin])
         with scouts() as scout:
             hits = scout.count(trace[begin])
@@ -205,12 +224,17 @@ def approach(process: Process, trace: Sequence[int], step: int) -> Site:
     )
 
 
-def rarest(process: Process, trace: Sequence[int]) -> int:
-    """Index of the last pass through the address that a trace passes least often."""
+def rarest(process: Process, trace: Sequence[int], inside: Callable[[int], bool] = lambda _: True) -> int:
+    """Index of the last pass through the address within the scope that a trace passes least often.
+
+    The trace ends in the scope.
+    """
     passes = Counter(trace)
     usable = _breakable(process, trace)
     return min(
-        (at for at in range(len(trace)) if usable[at]), key=lambda at: (passes[trace[at]], -at), default=0
+        (at for at in range(len(trace)) if usable[at] and inside(trace[at])),
+        key=lambda at: (passes[trace[at]], -at),
+        default=len(trace) - 1,
     )
 
 

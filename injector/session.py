@@ -11,7 +11,6 @@ from injector.elf import place
 from injector.freeze import Thread, Tracees
 from injector.inject import Strike
 from injector.process import Identity, IdentityError, Process, VanishedError
-from injector.site import holds_address
 from injector.way import Call, Way
 from services.bus.announce import Announcement
 from services.bus.mission import FaultSpec
@@ -101,6 +100,5 @@ def _record(way: Way, found: Strike) -> InjectionRecord:
             "build_id": where.build_id,
             "offset": where.offset,
             "symbol": where.symbol,
-            "holds_address": bool(found.register) and holds_address(maps, found.before, found.width_bits),
         }
     )

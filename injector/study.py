@@ -1,244 +1,311 @@
 """The kernel study: what one fault does to a kernel alone, thousands of times (the paper's Fig. 6).
 
-A worker holds a kernel on its recorded sample. Each injection forks it: the copy runs the kernel once,
-is struck on the way, and leaves its output in shared memory. The worker is the copy's parent and its
-tracer, so nothing of a fault outlives its injection, and all copies begin alike to the byte.
+A worker holds a kernel on its recorded sample (:mod:`injector.subject`). It takes a copy through the call
+once for many injections; at each drawn place another copy is made (:mod:`injector.sweep`), struck, and run
+to its end. The worker is the copies' parent and tracer: they die with it, and nothing of a fault outlives
+its injection.
 """
 
 from __future__ import annotations
 
-import gc
-import mmap
 import os
-import select
 import signal
-import struct
-import sys
 import time
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-
-from injector.session import inject
-from injector.way import Call
+from injector import elf, ptrace
+from injector.clock import Clock, Surveyor
+from injector.copies import Copies
+from injector.freeze import Thread, Tracees
+from injector.inject import Strike
+from injector.process import Identity, Maps, Process, sleeps
+from injector.ptrace import GoneError, Report, wait_until
+from injector.strike import strike
+from injector.subject import MARK, Subject
+from injector.sweep import BEGINNING, Place, Sweep
 from services.bus import rng
-from services.bus.announce import Announcement, boot_id, start_ticks
-from services.bus.lifeline import die_with_parent
-from services.bus.mission import FaultSpec, Trigger
+from services.bus.mission import FaultSpec, Site, Trigger
 from services.bus.model import Strict
-from services.bus.node import GATE_SIGNAL
 from services.bus.outcome import InjectionRecord
-from services.bus.trial import Output
-from services.kernels import KERNELS, Kernel
 
 StudyResult = Literal["benign", "sdc", "crash", "hang", "not_injected"]
 
-HANG_TIMES = 20
-"""A copy that uses this many times the thread time of a good call hangs, or ..."""
+HANG_TIMES = 10
+"""A copy that uses this many times the thread time of a good call, and ..."""
 
-HANG_LEAST_S = 0.2
-"""... this much, whichever is more."""
+HANG_MARGIN_S = 0.05
+"""... this much more, hangs."""
 
-BLOCKED_S = 3.0
-"""Wall time after which a copy that sleeps is taken to wait for ever."""
+BLOCKED_LOOKS = 50
+"""Looks in a row at which a copy sleeps before it is taken to wait for ever."""
 
-REHEARSALS = 7
+REHEARSALS = 5
 """Good calls by which the thread time of a call is known."""
 
-_LOOK_MS = 10
-_ROOM = 4  # an output may be so many times as large as the good one
-_HEADER = struct.Struct("<QQQ")  # thread time in ns, bytes of the image, bytes of the values
-_CLOCK_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+_LOOK_S = 0.01
+_BEGIN_S = 20.0
 
 
 class StudyRun(Strict):
     """One injection into a kernel alone.
 
-    ``sdc``: the output differs in a bit; ``within_tolerance`` says whether by no more than matters.
-    ``cause``: of a crash, the signal or the exit status.
+    ``sdc``: the output differs in a bit; ``within_tolerance`` says whether by no more than matters, and
+    ``deviation`` by how much in the kernel's unit (None: it has more or fewer values, or not all are
+    numbers). ``cause``: of a crash, the signal or "exception". Pid, tid and pause of the record are 0, as
+    they tell nothing of a copy; the rest is the same in every run.
     """
 
     kernel: str
     index: int
     result: StudyResult
     within_tolerance: bool = False
+    deviation: float | None = None
     cause: str = ""
     injection: InjectionRecord
 
 
-class Subject:
-    """A kernel on its sample, of which copies are struck. Only in a process of one thread."""
+class Task(Strict):
+    """What a worker is asked for: a part of a survey (:mod:`injector.clock`), or the strikes of a leg.
 
-    def __init__(self, kernel: Kernel) -> None:
-        self._kernel = kernel
-        sample = kernel.sample()
-        for _ in range(2):  # the first call compiles
-            golden = kernel.trial(sample)
-            golden.run()
-        self._golden: Output = golden.output()
-        self._trial = kernel.trial(sample)
-        room = _ROOM * (len(self._golden.image) + self._golden.values.nbytes)
-        self._page = mmap.mmap(-1, _HEADER.size + room)
-        self._boot_id = boot_id()
-        gc.collect()
-        gc.disable()
-        gc.freeze()
-        self._cpu_ns = 0
-        self._cpu_ns = sorted(self._rehearse() for _ in range(REHEARSALS))[REHEARSALS // 2]
+    Of a survey: the call's beginning; then a ``chain`` of traces that goes on from ``begin``; then how often
+    the addresses are passed.
+    """
 
-    def strike(self, index: int, fault: FaultSpec, seed: int) -> StudyRun:
-        """Run a copy and inject ``fault`` into it, at a moment uniform over the thread time of a call."""
-        draw = rng.generator(seed, f"study {self._kernel.name}", index)
-        trigger = Trigger(invocation=0, cpu_ns=int(draw.random() * self._cpu_ns))
-        aimed = fault.model_copy(update={"trigger": trigger, "seed": index})
-        pid, go = self._fork()
+    begin: tuple[int, ...] = ()
+    chain: int | None = None
+    addresses: tuple[int, ...] = ()
+    fault: FaultSpec | None = None
+    seed: int = 0
+    clock: Clock | None = None
+    leg: tuple[Place, ...] = ()
+
+
+class Answer(Strict):
+    """One line of a worker: what came of a place (``refused``: its number), a problem of our own.
+
+    Of a survey, traces (``whole``: of all of the call), or the passes of each address. The last one to a task
+    has the processor time that worker and copies have used so far.
+    """
+
+    traces: tuple[tuple[int, ...], ...] | None = None
+    whole: bool = False
+    passes: tuple[tuple[int, int], ...] | None = None
+    run: StudyRun | None = None
+    refused: int | None = None
+    problem: str = ""
+    cpu_s: float | None = None
+
+
+class Strikes:
+    """Copies of one subject, struck one after the other. Only in a process of one thread."""
+
+    def __init__(self, kernel: str, subject: Subject, pid: int, tracees: Tracees) -> None:
+        """Take over the process that ``subject`` forked, which stands at the beginning of its call."""
+        self._kernel, self._subject, self._tracees = kernel, subject, tracees
+        self._root = tracees.threads[pid]
+        self._copies = Copies(tracees)
+        self._places: dict[int, elf.Place] = {}
+        self._maps = Maps(Path(f"/proc/{pid}/maps").read_text())
+        self._limit_s = _BEGIN_S
+        took_s = sorted(self._rehearse() for _ in range(REHEARSALS))[REHEARSALS // 2]
+        self._limit_s = HANG_TIMES * took_s + HANG_MARGIN_S
+
+    def survey(self, task: Task) -> Answer:
+        """A part of a survey; the same in every run."""
+        surveyor = Surveyor(self._tracees, self._copies, self._root)
+        if task.addresses:
+            return Answer(passes=tuple(surveyor.count(task.addresses).items()))
+        if task.chain is None:
+            begin, whole = surveyor.begin()
+            return Answer(traces=(tuple(begin),), whole=whole)
+        draw = rng.generator(0, f"clock {self._kernel}", task.chain)
+        return Answer(traces=tuple(map(tuple, surveyor.chain(list(task.begin), draw))))
+
+    def run(
+        self, clock: Clock, leg: Sequence[Place], fault: FaultSpec, seed: int
+    ) -> Iterator[tuple[int, StudyRun | None]]:
+        """Strike a copy at each of the places: number and what came of it, None where it was refused.
+
+        :raises ClockError, CopyError: if we cannot.
+        """
+        for place, there in Sweep(self._tracees, self._copies, self._root, clock).visit(leg):
+            if there is None:
+                yield place.index, None
+            else:
+                yield place.index, self._strike(place, there, clock, fault, seed)
+
+    def _strike(self, place: Place, there: Thread, clock: Clock, fault: FaultSpec, seed: int) -> StudyRun:
+        aimed = fault.model_copy(update={"seed": place.index, "trigger": self._trigger(place, clock)})
+        draw = rng.generator(seed, f"study {self._kernel}", place.index)
+        before = set(self._tracees.threads)
+        copy = self._copies.copy(there)
+        self._subject.forget()
         try:
-            claim = Announcement(self._kernel.name, pid, pid, start_ticks(pid), self._boot_id)
-            record = inject(Call(claim, 0, armed=lambda: _let_go(go), marked=True), [], aimed, draw)
-            status = self._await(pid)
+            with Process(Identity.of(copy.pid)) as process:
+                found = strike(self._tracees, copy, process, aimed, draw)
+            if found is None:
+                found = Strike("not_activated", "the place is a system call")
+            end = self._finish(copy) if found.bits else None
         finally:
-            os.close(go)
-        result, cause = self._judge(record, status)
-        tolerable = result == "sdc" and self._within_tolerance()
+            for one in [one for one in self._tracees.threads.values() if one.tid not in before]:
+                self._copies.end(one)  # it hangs, or what it has started does
+        return self._told(place, aimed, found, end)
+
+    def _finish(self, copy: Thread) -> Report | None:
+        """Let a copy run to its end: how it ended, None if it hangs."""
+        if copy.tid not in self._tracees.threads:
+            return Report("gone", signal.SIGKILL)
+        self._tracees.resume(copy)
+        asleep = 0
+        while True:
+            report = ptrace.poll(copy.tid)
+            if report is None:
+                if not signal.sigtimedwait({signal.SIGCHLD}, _LOOK_S):
+                    asleep = asleep + 1 if sleeps(copy.tid) else 0
+                    if asleep > BLOCKED_LOOKS or _cpu_s(copy.pid) > self._limit_s:
+                        return None
+            elif report.kind == "gone":
+                del self._tracees.threads[copy.tid]
+                return report
+            elif report.kind in ("step", "timer"):
+                return Report("gone", signal.SIGTRAP)  # a trap of its own making
+            elif report.kind == "group_stop":
+                return None
+            else:
+                self._go_on(copy, report)
+
+    def _go_on(self, copy: Thread, report: Report) -> None:
+        """Past a signal, which it gets unless it is its mark; what it starts stands where it begins."""
+        with suppress(GoneError):  # killed meanwhile; its end is reported next
+            if report.kind in ("new_thread", "new_process"):
+                tid = ptrace.started(copy.tid)
+                pid = copy.pid if report.kind == "new_thread" else tid
+                self._tracees.threads[tid] = Thread(pid, tid)
+            deliver = report.kind == "signal" and report.signal != MARK
+            ptrace.resume(copy.tid, report.signal if deliver else 0)
+
+    def _told(self, place: Place, fault: FaultSpec, found: Strike, end: Report | None) -> StudyRun:
+        result, cause = self._judge(fault, found, end)
+        made = self._subject.made() if result == "sdc" else None
         return StudyRun(
-            kernel=self._kernel.name,
-            index=index,
+            kernel=self._kernel,
+            index=place.index,
             result=result,
-            within_tolerance=tolerable,
+            within_tolerance=made is not None and made.within_tolerance,
+            deviation=None if made is None else made.deviation,
             cause=cause,
-            injection=record,
+            injection=self._record(fault, found),
         )
 
-    # -- the copy ----------------------------------------------------------------------------------
-
-    def _fork(self) -> tuple[int, int]:
-        """Start a copy that waits for a byte; its pid, and where to write the byte."""
-        self._page[: _HEADER.size] = bytes(_HEADER.size)
-        waits, go = os.pipe2(os.O_CLOEXEC)
-        worker = os.getpid()
-        pid = os.fork()
-        if pid == 0:
-            status = os.EX_SOFTWARE
-            with suppress(BaseException):
-                die_with_parent(worker)
-                if os.read(waits, 1):
-                    self._run()
-                    status = os.EX_OK
-            os._exit(status)
-        os.close(waits)
-        return pid, go
-
-    def _run(self) -> None:
-        """The kernel between two marks; its output goes to the worker."""
-        signal.raise_signal(GATE_SIGNAL)
-        begin = time.thread_time_ns()
-        self._trial.run()
-        spent_ns = time.thread_time_ns() - begin
-        signal.raise_signal(GATE_SIGNAL)
-        image = self._trial.image()
-        # What matters of an output is worked out only where it is another one: it can take ten calls.
-        values = b"" if image == self._golden.image else self._trial.values().tobytes()
-        written = (image + values)[: len(self._page) - _HEADER.size]
-        self._page[: _HEADER.size] = _HEADER.pack(spent_ns, len(image), len(values))
-        self._page[_HEADER.size : _HEADER.size + len(written)] = written
-
-    def _rehearse(self) -> int:
-        """The thread time of a good call in a copy, ns.
-
-        :raises RuntimeError: if a copy does not make the golden output.
-        """
-        pid, go = self._fork()
-        _let_go(go)
-        os.close(go)
-        status = self._await(pid)
-        if status != 0 or self._image() != self._golden.image:
-            message = f"{self._kernel.name}: a copy that was left alone made another output ({status})"
-            raise RuntimeError(message)
-        return int(_HEADER.unpack(self._page[: _HEADER.size])[0])
-
-    def _await(self, pid: int) -> int | None:
-        """How the copy ended: its exit status (negative: the signal), None if it hung and was killed."""
-        cpu_limit_s = max(HANG_LEAST_S, HANG_TIMES * self._cpu_ns / 1e9)
-        blocked = time.monotonic() + BLOCKED_S
-        hung = False
-        pidfd = os.pidfd_open(pid)
-        try:
-            ended = select.poll()
-            ended.register(pidfd, select.POLLIN)
-            while not ended.poll(_LOOK_MS):
-                state, cpu_s = _looked_at(pid)
-                if cpu_s > cpu_limit_s or (state == "S" and time.monotonic() > blocked):
-                    hung = True
-                    signal.pidfd_send_signal(pidfd, signal.SIGKILL)
-        finally:
-            os.close(pidfd)
-        with suppress(ChildProcessError):  # it ended while it was traced
-            status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-            return None if hung else status
-        return -signal.SIGTRAP
-
-    # -- what became of it -------------------------------------------------------------------------
-
-    def _judge(self, record: InjectionRecord, status: int | None) -> tuple[StudyResult, str]:
-        if record.status != "injected":
-            return "not_injected", record.reason
-        if status is None:
+    def _judge(self, fault: FaultSpec, found: Strike, end: Report | None) -> tuple[StudyResult, str]:
+        dummy = fault.model == "none" and bool(found.bits)
+        if found.status != "injected" and not dummy:
+            return "not_injected", found.reason
+        if end is None:
             return "hang", ""
-        if status != 0:
-            return "crash", signal.Signals(-status).name if status < 0 else f"exit status {status}"
-        return ("benign" if self._image() == self._golden.image else "sdc"), ""
+        if end.signal:
+            return "crash", signal.Signals(end.signal).name
+        what = self._subject.made().what
+        if end.exit_status or what == "nothing":
+            return "crash", "exception" if end.exit_status else "it ended early"
+        return ("benign" if what == "golden" else "sdc"), ""
 
-    def _image(self) -> bytes:
-        length = int(_HEADER.unpack(self._page[: _HEADER.size])[1])
-        return self._page[_HEADER.size : _HEADER.size + length]
+    def close(self) -> None:
+        """End every process."""
+        for one in list(self._tracees.threads.values()):
+            self._copies.end(one)
 
-    def _within_tolerance(self) -> bool:
-        golden = self._golden
-        _, image, length = (int(field) for field in _HEADER.unpack(self._page[: _HEADER.size]))
-        if length != golden.values.nbytes or _HEADER.size + image + length > len(self._page):
-            return False
-        begin = _HEADER.size + image
-        values = np.frombuffer(self._page[begin : begin + length], dtype=golden.values.dtype)
-        faulty = Output(b"", values.reshape(golden.values.shape))
-        return self._kernel.within_tolerance(golden, faulty)
+    # -- what is told of it ------------------------------------------------------------------------
+
+    def _trigger(self, place: Place, clock: Clock) -> Trigger:
+        if place.anchor == BEGINNING:
+            exact = not clock.anchors
+            site = Site(
+                rung="exact" if exact else "occurrence",
+                step=place.step if exact else None,
+                steps=place.step,
+            )
+        else:
+            where = self._place(clock.anchors[place.anchor].address)
+            site = Site(
+                rung="occurrence",
+                module=where.module,
+                build_id=where.build_id,
+                offset=where.offset,
+                hit=place.hit,
+                steps=place.step,
+            )
+        return Trigger(invocation=0, site=site)
+
+    def _place(self, address: int) -> elf.Place:
+        """Where code lies: the same in all copies, and found but once."""
+        if address not in self._places:
+            self._places[address] = elf.place(self._root.pid, self._maps, address)
+        return self._places[address]
+
+    def _record(self, fault: FaultSpec, found: Strike) -> InjectionRecord:
+        assert fault.trigger is not None  # noqa: S101 - made above
+        assert fault.trigger.site is not None  # noqa: S101
+        told = found.described()
+        if found.instruction is not None:
+            where = self._place(found.instruction.address)
+            told |= {"module": where.module, "build_id": where.build_id}
+            told |= {"offset": where.offset, "symbol": where.symbol}
+        return InjectionRecord(
+            status=found.status,
+            mode=fault.trigger.site.rung,
+            trigger=fault.trigger,
+            node=self._kernel,
+            kernel=self._kernel,
+            invocation=0,
+            model=fault.model,
+            scope=fault.scope,
+            threads_stopped=1,
+        ).model_copy(update=told)
+
+    # -- the good call -----------------------------------------------------------------------------
+
+    def _rehearse(self) -> float:
+        """The thread time of a good call in a copy, s.
+
+        :raises RuntimeError: if a copy that nobody strikes does not make the golden output.
+        """
+        copy = self._copies.copy(self._root)
+        self._subject.forget()
+        end, made = self._finish(copy), self._subject.made()
+        if end is None or made.what != "golden":
+            message = f"{self._kernel}: a copy that was left alone made another output ({end})"
+            raise RuntimeError(message)
+        return made.spent_ns / 1e9
 
 
-def _let_go(go: int) -> None:
-    with suppress(BrokenPipeError):
+def _cpu_s(pid: int) -> float:
+    """Processor time of a process: its clock by the number that clock_getcpuclockid(3) gives it."""
+    return time.clock_gettime(~pid << 3 | 2)
+
+
+@contextmanager
+def striking(kernel: str, subject: Subject, pid: int, go: int) -> Iterator[Strikes]:
+    """Strikes on copies of the process that ``subject`` forked; it and they are gone afterwards.
+
+    :raises RuntimeError: if the call is not the same in a copy.
+    """
+    with Tracees(MARK, forks=True, ours=True) as tracees:
+        tracees.seize([pid])
         os.write(go, b"x")
 
+        def there() -> bool | None:
+            tracees.service()
+            return True if tracees.threads[pid].report is not None else None
 
-def _looked_at(pid: int) -> tuple[str, float]:
-    """State and thread time in seconds of a process; of one that is gone, nothing."""
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
-    except (FileNotFoundError, ProcessLookupError):
-        return "", 0.0
-    fields = stat.rpartition(")")[2].split()
-    return fields[0], (int(fields[11]) + int(fields[12])) / _CLOCK_TICKS_PER_S
-
-
-def main() -> None:
-    """A worker: ``python -m injector.study KERNEL FAULT SEED COUNT SLOT SLOTS CPU``; JSON lines.
-
-    It takes every ``SLOTS``-th injection of ``COUNT``, from ``SLOT`` on; ``FAULT`` is a FaultSpec in JSON.
-    """
-    kernel, fault, *numbers = sys.argv[1:]
-    seed, count, slot, slots, cpu = (int(number) for number in numbers)
-    die_with_parent()
-    os.sched_setaffinity(0, {cpu})
-    # What a struck copy says while it dies is of no use to anybody.
-    os.dup2(os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC), 2)
-    aimed = FaultSpec.model_validate_json(fault)
-    subject = Subject(KERNELS[kernel])
-    for index in range(slot, count, slots):
-        sys.stdout.write(subject.strike(index, aimed, seed).model_dump_json(by_alias=True) + "\n")
-        sys.stdout.flush()
-    # Without the interpreter's own clean-up: nanobind would complain of OMPL's leaks at length.
-    os._exit(os.EX_OK)
-
-
-if __name__ == "__main__":
-    main()
+        if not wait_until(there, _BEGIN_S):
+            message = f"{kernel}: the process to be copied never began its call"
+            raise RuntimeError(message)
+        strikes = Strikes(kernel, subject, pid, tracees)
+        try:
+            yield strikes
+        finally:
+            strikes.close()

@@ -1,7 +1,8 @@
 """Stopping a thread at a moment: after some processor time of its own, or at a pass through an address.
 
-A perf event counts in the kernel and raises SIGTRAP in the thread, which ptrace shows to us only.
-Source: perf_event_open(2), Linux include/uapi/linux/perf_event.h.
+A perf event counts in the kernel and raises SIGTRAP in the thread, which ptrace shows to us only; or,
+where a ``notice`` is given, that signal, which a thread that we do not trace any more survives.
+Source: perf_event_open(2), fcntl(2), Linux include/uapi/linux/perf_event.h.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ _ATTR_SIZE = 128  # PERF_ATTR_SIZE_VER7, the first with sig_data
 _DISABLED, _EXCLUDE_KERNEL, _EXCLUDE_HV = 1 << 0, 1 << 5, 1 << 6
 _REMOVE_ON_EXEC, _SIGTRAP = 1 << 36, 1 << 37
 _FLAG_CLOEXEC = 8
-_IOC_ENABLE, _IOC_REFRESH, _IOC_PERIOD = 0x2400, 0x2402, 0x40082404
+_IOC_ENABLE, _IOC_DISABLE, _IOC_REFRESH = 0x2400, 0x2401, 0x2402
+_IOC_PERIOD, _IOC_MODIFY = 0x40082404, 0x4008240B
+_F_SETOWN_EX, _OWNER_THREAD = 15, 0
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -54,7 +57,7 @@ class ThreadTimer:
     inside that of :class:`injector.freeze.Tracees`: the timer must be gone before the thread is untraced.
     """
 
-    def __init__(self, thread: Thread, cpu_ns: int) -> None:
+    def __init__(self, thread: Thread, cpu_ns: int, notice: int = 0) -> None:
         """Start it.
 
         :raises TriggerError: if the kernel refuses.
@@ -66,8 +69,9 @@ class ThreadTimer:
         thread.timed = True
         try:
             for chance_ns in CHANCES_NS:
-                descriptor = _timer(thread.tid, self._moment_ns + chance_ns)
+                descriptor = _timer(thread.tid, self._moment_ns + chance_ns, notice)
                 self._descriptors.append(descriptor)
+                _give(descriptor, thread.tid, notice)
                 # Enables it for one overflow, after which the kernel disables it.
                 fcntl.ioctl(descriptor, _IOC_REFRESH, 1)
         except BaseException:
@@ -100,19 +104,26 @@ class ThreadTimer:
 class Breakpoint:
     """Counts a traced thread's passes through an address, and traps it at the ``hit``-th (0: never).
 
+    With a ``notice`` it traps it at every ``hit``-th.
+
     It then stands at the instruction there, not yet executed. Nothing is written into the process. To be
     used like :class:`ThreadTimer`.
     """
 
-    def __init__(self, thread: Thread, address: int, hit: int = 0) -> None:
-        """Begin to count.
+    def __init__(
+        self, thread: Thread, address: int, hit: int = 0, notice: int = 0, *, held_back: bool = False
+    ) -> None:
+        """Begin to count; one that is ``held_back`` begins when it is aimed.
 
         :raises TriggerError: if the kernel refuses.
         :raises GoneError: if the thread has ended.
         """
-        thread.timed = thread.timed or hit > 0
-        self._descriptor = _breakpoint(thread.tid, address, hit)
-        if hit:
+        thread.timed = thread.timed or hit > 0 or held_back
+        self._descriptor = _breakpoint(thread.tid, address, int(held_back) or hit, notice)
+        _give(self._descriptor, thread.tid, notice)
+        if held_back:
+            return
+        if hit and not notice:
             fcntl.ioctl(self._descriptor, _IOC_REFRESH, 1)
         else:
             fcntl.ioctl(self._descriptor, _IOC_ENABLE, 0)
@@ -122,25 +133,77 @@ class Breakpoint:
         """Passes so far."""
         return int.from_bytes(os.read(self._descriptor, 8), "little")
 
+    def aim(self, hit: int) -> None:
+        """Count on, and trap at the ``hit``-th pass from now on; of one that is held back."""
+        fcntl.ioctl(self._descriptor, _IOC_PERIOD, struct.pack("=Q", hit))
+        fcntl.ioctl(self._descriptor, _IOC_ENABLE, 0)
+
+    def hold_back(self) -> None:
+        """Count nothing for now."""
+        fcntl.ioctl(self._descriptor, _IOC_DISABLE, 0)
+
+    def close(self) -> None:
+        """Take it away; a trap may still be under way."""
+        os.close(self._descriptor)
+
     def __enter__(self) -> Breakpoint:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class StepBreakpoint:
+    """A breakpoint that is moved before each step of a traced thread, or away."""
+
+    def __init__(self, thread: Thread, notice: int) -> None:
+        """Have one that stands nowhere yet.
+
+        :raises TriggerError, GoneError: as :class:`Breakpoint` does.
+        """
+        self._notice, self._away = notice, True
+        self._descriptor = _breakpoint(thread.tid, 0, 1, notice)
+        _give(self._descriptor, thread.tid, notice)
+
+    def move(self, address: int | None) -> None:
+        """Have it stand at an address, or nowhere."""
+        if address is None and self._away:
+            return
+        self._away = address is None
+        attributes = bytearray(_breakpoint_attributes(address or 0, 1, self._notice, disabled=self._away))
+        fcntl.ioctl(self._descriptor, _IOC_MODIFY, attributes)
+
+    def close(self) -> None:
+        """Take it away for good."""
         os.close(self._descriptor)
 
 
-def _timer(tid: int, period_ns: int) -> int:
-    flags = _DISABLED | _EXCLUDE_KERNEL | _EXCLUDE_HV | _REMOVE_ON_EXEC | _SIGTRAP
+def _give(descriptor: int, tid: int, notice: int) -> None:
+    """Have an event announced to a thread by a signal of our choice, with ``si_code`` POLL_HUP or POLL_IN."""
+    if notice:
+        fcntl.fcntl(descriptor, _F_SETOWN_EX, struct.pack("=ii", _OWNER_THREAD, tid))
+        fcntl.fcntl(descriptor, fcntl.F_SETSIG, notice)
+        fcntl.fcntl(descriptor, fcntl.F_SETFL, os.O_ASYNC)
+
+
+def _timer(tid: int, period_ns: int, notice: int) -> int:
+    flags = _DISABLED | _EXCLUDE_KERNEL | _EXCLUDE_HV | _REMOVE_ON_EXEC | (0 if notice else _SIGTRAP)
     return _perf_event_open(
         tid,
         struct.pack("=IIQQQQQ", _TYPE_SOFTWARE, _ATTR_SIZE, _COUNT_TASK_CLOCK, period_ns, 0, 0, flags),
     )
 
 
-def _breakpoint(tid: int, address: int, hit: int) -> int:
-    flags = _DISABLED | _EXCLUDE_KERNEL | _EXCLUDE_HV | (_REMOVE_ON_EXEC | _SIGTRAP if hit else 0)
+def _breakpoint(tid: int, address: int, hit: int, notice: int) -> int:
+    return _perf_event_open(tid, _breakpoint_attributes(address, hit, notice, disabled=True))
+
+
+def _breakpoint_attributes(address: int, hit: int, notice: int, *, disabled: bool) -> bytes:
+    flags = _EXCLUDE_KERNEL | _EXCLUDE_HV | (_DISABLED if disabled else 0)
+    if hit:
+        flags |= _REMOVE_ON_EXEC | (0 if notice else _SIGTRAP)
     head = struct.pack("=IIQQQQQ", _TYPE_BREAKPOINT, _ATTR_SIZE, 0, hit, 0, 0, flags)
-    return _perf_event_open(tid, head + struct.pack("=IIQQ", 0, _EXECUTE, address, _LONG))
+    return (head + struct.pack("=IIQQ", 0, _EXECUTE, address, _LONG)).ljust(_ATTR_SIZE, b"\0")
 
 
 def _perf_event_open(tid: int, attributes: bytes) -> int:

@@ -38,7 +38,8 @@ class Call:
 
     ``armed`` is called once, when everybody is traced. A target that is ``marked`` tells by signals to
     itself where the call begins and ends (``Node.kernel``), and its thread time counts from the first;
-    else it counts from ``armed`` on, and ``finished``, asked about every millisecond, tells the end.
+    else it counts from ``armed`` on, and ``finished``, asked about every millisecond, tells the end. If there
+    is an ``entry``, the call is one of the function there, and begins behind its first instruction.
     ``leave_out`` is told how long everybody stood, in nanoseconds, just before they go on.
     """
 
@@ -47,6 +48,7 @@ class Call:
     armed: Callable[[], None]
     finished: Callable[[], bool] = lambda: False
     marked: bool = False
+    entry: int = 0
     leave_out: Callable[[int], object] = lambda _pause_ns: None
 
 
@@ -93,6 +95,9 @@ class Way:
 
     def _to_the_mark(self) -> None:
         """Let everybody run until the target stands at the beginning of the call."""
+        if self.call.entry:
+            self._to_the_entry()
+            return
         self.call.armed()
 
         def there() -> bool | None:
@@ -103,6 +108,17 @@ class Way:
 
         if self.call.marked and not wait_until(there, self.limit_s):
             raise MissedError("failed", "the target never began the call")
+
+    def _to_the_entry(self) -> None:
+        with Breakpoint(self.thread, self.call.entry, 1):
+            self.call.armed()
+            end = self._await(lambda: None)
+        if end == "finished":
+            raise MissedError("not_reached", "the function was not called in that step")
+        if end != "trapped":
+            raise self._lost(end)
+        if self.tracees.step(self.thread) != "stepped":
+            raise MissedError("failed", "before the fault: the function's first instruction was its last")
 
     # -- to a site ---------------------------------------------------------------------------------
 
@@ -121,7 +137,7 @@ class Way:
             if end != "stepped":
                 raise MissedError("failed", f"before the fault: the thread {end}")
         self.maps = self.target.maps()
-        self.seen = look(self.thread, self.target, self.maps)
+        self.seen = look(self.thread, self.target)
         for what, found, expected in (
             ("instruction", self.seen.code, site.code),
             ("registers", self.seen.registers, site.registers),
@@ -186,8 +202,9 @@ class Way:
     # -- either way --------------------------------------------------------------------------------
 
     def _strike(self) -> Strike | None:
-        self.tracees.stop_all()
-        return strike(self.tracees, self.thread, self.target, self.fault, self.draw)
+        return strike(
+            self.tracees, self.thread, self.target, self.fault, self.draw, stop=self.tracees.stop_all
+        )
 
     def _await(self, insist: Callable[[], None]) -> Literal["trapped", "finished", "gone", "late"]:
         return await_trap(self.tracees, self.thread, self.call.finished, self.limit_s, insist)

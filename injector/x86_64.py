@@ -84,6 +84,23 @@ def register_classes(enabled: int | None = None) -> frozenset[RegisterClass]:
     return frozenset(classes | {"mask"} if components >> xstate.OPMASK & 1 else classes)
 
 
+def entering(general: bytearray, instruction: int, number: int, *arguments: int) -> bytearray:
+    """General registers that enter a system call at a ``syscall`` ``instruction`` (System V ABI, A.2.1)."""
+    changed = bytearray(general)
+    order = ("rdi", "rsi", "rdx", "r10", "r8", "r9")
+    values = {"rip": instruction, "rax": number, **dict(zip(order, arguments, strict=False))}
+    for name, value in values.items():
+        struct.pack_into("<Q", changed, _OFFSETS[name], value)
+    return outside_of_calls(changed)
+
+
+def outside_of_calls(general: bytearray) -> bytearray:
+    """General registers of a thread that the kernel has no system call to enter again for."""
+    changed = bytearray(general)
+    struct.pack_into("<Q", changed, _OFFSETS["orig_rax"], NO_SYSTEM_CALL)
+    return changed
+
+
 class X8664Registers(Registers):
     """The registers of a standing x86-64 thread."""
 

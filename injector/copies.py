@@ -1,0 +1,75 @@
+"""Forking a process that stands, from outside: the copy stands where it stands, before the same instruction.
+
+The tracee is made to enter ``clone`` and gets its registers back. Nothing of the fork is seen by the
+program, and its interpreter does not tidy up after it: process and copy go on alike. x86-64 only.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+from contextlib import suppress
+
+from injector import ptrace
+from injector.freeze import Thread, Tracees
+from injector.ptrace import NT_PRSTATUS, Report
+from injector.x86_64 import entering, outside_of_calls
+
+_CLONE = 56
+_CLONE_PARENT = 0x8000
+_SYSCALL = b"\x0f\x05"
+_SET_SIZE = 512
+_FUNCTION_SIZE = 64
+
+_libc = ctypes.CDLL(None)
+
+
+class CopyError(Exception):
+    """A process could not be copied: one line."""
+
+
+class Copies:
+    """Copies of processes that we trace, which are forks of ours (libc lies where ours does).
+
+    ``tracees`` must follow forks. A copy is a child of our own, traced, and stands.
+    """
+
+    def __init__(self, tracees: Tracees) -> None:
+        self._tracees = tracees
+        function = ctypes.cast(_libc.syscall, ctypes.c_void_p).value or 0
+        self._instruction = function + ctypes.string_at(function, _FUNCTION_SIZE).index(_SYSCALL)
+
+    def copy(self, of: Thread) -> Thread:
+        """A copy of the process whose only thread this is; both stand where it stands.
+
+        :raises CopyError: if the kernel makes none.
+        """
+        tid = of.tid
+        own = outside_of_calls(ptrace.read_registers(tid, NT_PRSTATUS, _SET_SIZE))
+        call = entering(own, self._instruction, _CLONE, _CLONE_PARENT | signal.SIGCHLD, 0, 0, 0, 0)
+        ptrace.write_registers(tid, NT_PRSTATUS, call)
+        ptrace.resume(tid)
+        report = ptrace.await_report(tid)
+        if report.kind != "new_process":
+            message = f"process {tid} was not copied but reported {report.kind} (signal {report.signal})"
+            raise CopyError(message)
+        made = ptrace.started(tid)
+        ptrace.step(tid)
+        ptrace.await_report(tid)
+        ptrace.await_report(made)
+        for one in (tid, made):
+            ptrace.write_registers(one, NT_PRSTATUS, own)
+        of.report = Report("step")
+        self._tracees.threads[made] = Thread(made, made, Report("interrupted"))
+        return self._tracees.threads[made]
+
+    def end(self, copy: Thread) -> None:
+        """Kill a copy and reap it; nothing happens if it has ended."""
+        if self._tracees.threads.pop(copy.tid, None) is None:
+            return
+        with suppress(ProcessLookupError):
+            os.kill(copy.pid, signal.SIGKILL)
+        with suppress(ChildProcessError):
+            while ptrace.await_report(copy.tid).kind != "gone":
+                pass

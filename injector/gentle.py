@@ -1,0 +1,172 @@
+"""Tracing a process that knows nothing of us, so that it lives on whenever we are killed.
+
+A process without a handler for traps dies of a single step that is under way when its tracer is killed: the
+kernel lets go of the thread but leaves the trap flag set. The same goes for a breakpoint's SIGTRAP, which is
+then delivered. So no trap is ever raised here. Perf events announce themselves by a signal that is ignored
+unless somebody has asked for it, but which is shown to a tracer all the same; and a step is a breakpoint at
+each place that the instruction can lead to.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import Literal
+
+from injector import ptrace
+from injector.decode import DecodeError
+from injector.freeze import FAULTS, STEP_LIMIT_S, Thread, Tracees
+from injector.inject import TargetError, registers_of
+from injector.process import AddressError, CodeError, Process
+from injector.ptrace import GoneError, Report
+from injector.trigger import StepBreakpoint
+from injector.x86_64_flow import UnpredictableError, successors
+
+NOTICES = (signal.SIGURG, signal.SIGWINCH)
+"""Signals that do nothing by default, but are shown to a tracer."""
+
+_POLL_IN, _POLL_HUP = 1, 6
+
+
+class GentleTracees(Tracees):
+    """The threads of one process. Perf events on them are to be given ``notice``."""
+
+    def __init__(self, process: Process, notice: int) -> None:
+        super().__init__()
+        self.process = process
+        self.notice = notice
+        self.ends: dict[int, Report] = {}
+        self._stepping: Thread | None = None
+        self._breakpoints: list[StepBreakpoint] = []
+
+    def __exit__(self, *details: object) -> None:
+        self._leave_steps()
+        super().__exit__(*details)
+
+    def _take_in(self, thread: Thread, report: Report) -> Report:
+        if report.kind == "gone":
+            self.ends[thread.tid] = report
+        if report.kind == "signal" and report.signal == self.notice:
+            with suppress(GoneError):
+                if ptrace.signal_code(thread.tid) in (_POLL_IN, _POLL_HUP):
+                    report = Report("timer")
+        return super()._take_in(thread, report)
+
+    def _resume(self, thread: Thread) -> None:
+        if thread is self._stepping:
+            self._leave_steps()
+        super()._resume(thread)
+
+    def resume_others(self, thread: Thread) -> None:
+        """Let all but one standing thread run: it may wait for them."""
+        for one in list(self.threads.values()):
+            if one is not thread and one.report is not None:
+                self._resume(one)
+        self._pause.end()
+
+    def step(self, thread: Thread) -> Literal["stepped", "ended", "faulted", "gone", "stuck"]:
+        """Let a standing thread execute one instruction, or wait for its system call to return.
+
+        As :meth:`Tracees.step`, but the others may run: what they have to tell is taken in.
+
+        :raises TargetError: if nobody knows where the instruction leads.
+        """
+        try:
+            after = self._after(thread)
+        except GoneError:
+            return "gone"
+        if after == ():  # it jumps to itself
+            return "stepped"
+        self._aim(thread, after or ())
+        deadline = time.monotonic() + STEP_LIMIT_S
+        while True:
+            thread.report = None
+            with suppress(GoneError):  # killed; its end is reported next
+                ptrace.resume(thread.tid)
+            report = self._wait(lambda: self._look_at_all(thread), deadline - time.monotonic())
+            if report is None:
+                self._leave_steps()
+                return "stuck"
+            if report.kind == "gone":
+                return "gone"
+            if report.kind == "timer" and self._address(thread) in (after or ()):
+                return "stepped"
+            if report.kind == "signal" and report.signal in FAULTS:
+                return "faulted"
+
+    def _address(self, thread: Thread) -> int:
+        try:
+            return registers_of(thread).program_counter
+        except GoneError:
+            return -1
+
+    def _after(self, thread: Thread) -> tuple[int, ...] | None:
+        """Where a standing thread goes from here; None: nowhere, it raises a signal."""
+        registers = registers_of(thread)
+        address = registers.program_counter
+
+        def word(at: int) -> int:
+            return int.from_bytes(self.process.read_memory(at, 8), "little")
+
+        try:
+            return successors(self.process.read_code(address), address, registers, word)
+        except UnpredictableError as error:
+            raise TargetError(str(error)) from error
+        except (DecodeError, CodeError, AddressError):
+            return None
+
+    def _aim(self, thread: Thread, places: tuple[int, ...]) -> None:
+        if self._stepping is not thread:
+            self._leave_steps()
+            self._stepping = thread
+        while len(self._breakpoints) < len(places):
+            self._breakpoints.append(StepBreakpoint(thread, self.notice))
+        for number, breakpoint_ in enumerate(self._breakpoints):
+            breakpoint_.move(places[number] if number < len(places) else None)
+
+    def _leave_steps(self) -> None:
+        for one in self._breakpoints:
+            one.close()
+        self._breakpoints.clear()
+        self._stepping = None
+
+    def _look_at_all(self, thread: Thread) -> Report | None:
+        found = self._look(thread)
+        if found is None:
+            for other in self._running():
+                if other is not thread:
+                    news = self._look(other)
+                    if news is not None and news.kind not in ("gone", "timer"):
+                        self._resume(other)
+        return found
+
+
+def notice_for(tids: Iterable[int]) -> int | None:
+    """The signal by which threads can be stopped: the one that fewest block, if not all.
+
+    Of two alike the one that the process does not catch.
+    """
+    masks = [_masks(tid) for tid in tids]
+    best = min(
+        NOTICES,
+        key=lambda number: (
+            sum(blocked >> number - 1 & 1 for blocked, _ in masks),
+            any(caught >> number - 1 & 1 for _, caught in masks),
+        ),
+    )
+    return None if all(blocked >> best - 1 & 1 for blocked, _ in masks) else best
+
+
+def _masks(tid: int) -> tuple[int, int]:
+    """The signals that a thread blocks and those that its process catches; all, if it is gone."""
+    try:
+        text = Path(f"/proc/{tid}/status").read_text()
+    except OSError:
+        return -1, 0
+    blocked, caught = (
+        int(text.partition(f"{name}:")[2].split(maxsplit=1)[0], 16) for name in ("SigBlk", "SigCgt")
+    )
+    return blocked, caught

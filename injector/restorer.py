@@ -1,0 +1,66 @@
+"""Who puts true code back if the injector is killed while an instruction is corrupted.
+
+A process of its own, with the target's memory open: on standard input comes what to write where, or that
+there is nothing more to be done. If neither comes before the end, it writes.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from injector.process import Identity, Process
+
+_PROGRAM = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+memory = int(sys.argv[1])
+print(flush=True)
+todo = None
+for line in sys.stdin:
+    todo = line.split()
+    print(flush=True)
+if todo:
+    os.pwrite(memory, bytes.fromhex(todo[1]), int(todo[0]))
+"""
+
+
+class RestoredProcess(Process):
+    """A process whose code is true again also if we are killed while it is changed, some 0.1 ms later."""
+
+    def __init__(self, expected: Identity) -> None:
+        super().__init__(expected)
+        memory = self._mem()
+        self._restorer = subprocess.Popen(  # noqa: S603 - our own program
+            [sys.executable, "-I", "-S", "-c", _PROGRAM, str(memory)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=[memory],
+            start_new_session=True,
+        )
+        self._heard()
+
+    @contextmanager
+    def changed_code(self, address: int, code: bytes, true: bytes) -> Iterator[bytes]:
+        """As :meth:`Process.changed_code`, in the restorer's view."""
+        self._tell(f"{address} {true.hex()}")
+        with super().changed_code(address, code, true) as read_back:
+            yield read_back
+        self._tell("")
+
+    def _tell(self, line: str) -> None:
+        assert self._restorer.stdin is not None  # noqa: S101 - a pipe
+        self._restorer.stdin.write(f"{line}\n".encode())
+        self._restorer.stdin.flush()
+        self._heard()
+
+    def _heard(self) -> None:
+        assert self._restorer.stdout is not None  # noqa: S101 - a pipe
+        self._restorer.stdout.readline()
+
+    def close(self) -> None:
+        """Let go of the process."""
+        self._restorer.communicate()
+        super().close()
