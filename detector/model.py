@@ -75,15 +75,25 @@ def read_model(path: Path) -> ModelFile:
         message = f"{path}: cannot be read as a model ({error})"
         raise BadModelError(message) from error
     try:
-        model = ModelFile.model_validate(json.loads(text, parse_constant=_refuse))
-    except ValidationError as error:
-        message = f"{path}: not a model file ({what_is_wrong(error)})"
-        raise BadModelError(message) from error
+        given = json.loads(text, parse_constant=_refuse)
     except ValueError as error:
         message = f"{path}: not a model file, or truncated ({error})"
         raise BadModelError(message) from error
+    return model_in(given, str(path))
+
+
+def model_in(given: Any, where: str) -> ModelFile:
+    """The model that ``given``, the content of a file, makes; ``where`` names it in errors.
+
+    :raises BadModelError: if it is none, or was trained for other states.
+    """
+    try:
+        model = ModelFile.model_validate(given)
+    except ValidationError as error:
+        message = f"{where}: not a model file ({what_is_wrong(error)})"
+        raise BadModelError(message) from error
     if model.states != {stage: list(columns) for stage, columns in WATCHED.items()}:
-        message = f"{path}: trained for other states; train it again"
+        message = f"{where}: trained for other states; train it again"
         raise BadModelError(message)
     return model
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from detector.errors import DetectionInputError
-from detector.model import BadModelError, read_model, what_is_wrong
+from detector.model import BadModelError, ModelFile, model_in, read_model, what_is_wrong
 from detector.scheme import Scheme
 from detector.watched import ROWS, WATCHED
+from services.bus.detection import DetectorSpec
 
 GROUP = "zenfi.detectors"
 MODELS = Path(__file__).parent / "models"
@@ -68,25 +69,43 @@ def load_detector(name: str, path: Path | None = None, *, learning: bool = True)
     if path is None and not file.exists():
         message = f"no model comes along for detector {name!r}: train one by zenfi train {name}"
         raise BadModelError(message)
-    model = read_model(file)
+    return _with_model(kind, name, read_model(file), str(file), learning=learning)
+
+
+def in_flight(spec: DetectorSpec) -> Scheme:
+    """The detector that a mission asks for.
+
+    :raises UnknownSchemeError: if there is no such scheme.
+    :raises BadModelError: if its model is none of this scheme.
+    """
+    if spec.model is None:
+        return load_detector(spec.scheme)
+    where = "detector.model"
+    return _with_model(scheme(spec.scheme), spec.scheme, model_in(spec.model, where), where, learning=True)
+
+
+def _with_model(kind: type[Scheme], name: str, model: ModelFile, where: str, *, learning: bool) -> Scheme:
     if model.scheme != name:
-        message = f"{file}: a model of {model.scheme!r}, not of {name!r}"
+        message = f"{where}: a model of {model.scheme!r}, not of {name!r}"
         raise BadModelError(message)
     try:
         return kind.load(model.parameters, learning=learning)
     except ValueError as error:
-        message = f"{file}: no parameters of {name!r} ({what_is_wrong(error)})"
+        message = f"{where}: no parameters of {name!r} ({what_is_wrong(error)})"
         raise BadModelError(message) from error
 
 
 def warm_up() -> None:
     """Compile the detectors that come along before there is a flight."""
     for name in with_models():
-        detector = load_detector(name)
-        for stage, columns in WATCHED.items():
-            for writeable in (True, False):
-                # What comes from the bus is read-only: to numba a type of its own.
-                values = np.zeros((ROWS[stage] or 3, len(columns)))
-                values.setflags(write=writeable)
-                detector.score(stage, values)
-                detector.check(stage, values)
+        rehearse(load_detector(name))
+
+
+def rehearse(detector: Scheme) -> None:
+    """Have a detector judge once at each stage, so that it is compiled; it remembers nothing of it."""
+    for stage, columns in WATCHED.items():
+        for writeable in (True, False):
+            # What comes from the bus is read-only: to numba a type of its own.
+            values = np.zeros((ROWS[stage] or 3, len(columns)))
+            values.setflags(write=writeable)
+            detector.score(stage, values)
