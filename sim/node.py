@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from services.bus.horizon import NEVER_NS
+from services.bus.line import Line
 from services.bus.messages import Mission, TwistStamped, header
 from services.bus.mission import MissionSpec
 from services.bus.node import Node, NodeSetup
 from services.bus.ports import Input
 from services.bus.realtime import join
-from services.bus.session import Meeting
 from services.bus.topics import TICK_NS
 from services.bus.vitals import Vitals
 from sim import telemetry
@@ -28,11 +28,11 @@ def warm_up() -> None:
         DepthCamera(spec.camera, 0).render(flight.vehicle)
 
 
-def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
+def main(setup: NodeSetup, courier: Line, vitals: Vitals) -> None:
     """Fly the mission tick by tick until the referee ends it."""
     spec = setup.spec
     flight, camera = Flight(spec), DepthCamera(spec.camera, spec.seed)
-    with join(setup, meeting, vitals) as node:
+    with join(setup, courier, vitals) as node:
         commands, plan = node.input("command"), node.input("trajectory")
         node.watch("perception")
         node.ready()

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sim.world import SAFETY_RADIUS_M, World
+from services.bus.safety import BODY_RADIUS_M
+from sim.world import World
 
 RASTER_M = 0.25
 CELL_M = 10.0
@@ -50,7 +51,7 @@ def survey(world: World) -> Survey:
         obstacles=len(world.obstacles),
         density=_density(world),
         free_space=float((clearance > 0).mean()),
-        room_to_fly=float((clearance >= SAFETY_RADIUS_M).mean()),
+        room_to_fly=float((clearance >= BODY_RADIUS_M).mean()),
         start_clearance_m=float(clearance[start]),
         goal_clearance_m=float(clearance[goal]),
         widest_way_m=_widest(clearance, start, goal),

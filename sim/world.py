@@ -15,15 +15,13 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from services.bus.rng import generator
+from services.bus.safety import BODY_RADIUS_M
 from services.bus.world import DRAWN_TOP_M, BoxWorld, ClusteredWorld, GridWorld, Point, WorldDefinition
 
 Floats = NDArray[np.float64]
 
 KEEP_OUT_M = 3.0
 """No drawn obstacle stands closer to start or goal: the safety body and as much again."""
-
-SAFETY_RADIUS_M = 1.5
-"""Radius of the body that the collision check keeps free (facts page, "collision check")."""
 
 ATTEMPTS = 1000
 """Draws after which a world that leaves the straight way free is given up."""
@@ -131,7 +129,7 @@ def _drawn(wanted: GridWorld | ClusteredWorld, seed: int, start: Floats, goal: F
         obstacles = scatter(wanted, generator(seed, f"world {wanted.name}", attempt))  # type: ignore[arg-type]
         near = meets(obstacles, start, start, KEEP_OUT_M) | meets(obstacles, goal, goal, KEEP_OUT_M)
         obstacles = np.ascontiguousarray(obstacles[~near])
-        if meets(obstacles, start, goal, SAFETY_RADIUS_M).any():
+        if meets(obstacles, start, goal, BODY_RADIUS_M).any():
             return obstacles
     message = (
         f"world {wanted.name}: density {wanted.density:g}, obstacle_m {wanted.obstacle_m:g}:"
