@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import hashlib
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 from pydantic import ValidationError
 
-from deploy.platform import load_platform
+from deploy.platform import check_latency, load_platform
+from detector.errors import DetectionInputError
+from detector.schemes import in_flight
 from injector.architecture import AbsentError, require
 from injector.preflight import check as preflight
 from services.bus.mission import FaultSpec, MissionSpec
+from services.bus.own_stack import OwnStack, OwnStage
 from services.bus.source_fault import eligible
 from services.bus.states import GROUPS, STATES, members
-from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS
+from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS, aimed_at
 from sim.airframe import airframe
 from sim.area import corners
 from sim.world import make_world
@@ -34,12 +40,48 @@ def check(spec: MissionSpec) -> None:
             corners(spec.area, world)
         airframe(spec.airframe)
         load_platform(spec.platform)
-    except ValueError as error:
+        if spec.detector is not None:
+            in_flight(spec.detector)
+            check_latency(spec.platform, spec.detector)
+    except (ValueError, DetectionInputError) as error:
         raise BadSpecError(str(error)) from error
+    if spec.stack is not None:
+        _check_stack(spec.stack, spec)
     if spec.fault is not None and spec.fault.level == "source":
         _check_source(spec.fault)
     elif spec.fault is not None:
         _check_instruction(spec.fault, spec)
+
+
+def _check_stack(stack: OwnStack, spec: MissionSpec) -> None:
+    if spec.clock != "lockstep":
+        raise BadSpecError("stack: a stack of one's own flies in virtual time: leave out --clock realtime")
+    for stage, own in stack.stages.items():
+        if digest_of(own.command, Path(own.folder)) != own.sha256:
+            message = f"stack: {stage}: {own.command[0]} is not what it was when it was specified"
+            raise BadSpecError(message)
+
+
+def digest_of(command: Sequence[str], folder: Path) -> str:
+    """SHA-256 of a command's executable and of whatever else in it is a file, one after the other.
+
+    :raises BadSpecError: if it cannot be run.
+    """
+    digest = hashlib.sha256()
+    for number, word in enumerate(command):
+        file = folder / word
+        if number and not file.is_file():
+            continue
+        try:
+            content = file.read_bytes()
+        except OSError as error:
+            message = f"stack: {file}: {error.strerror}"
+            raise BadSpecError(message) from error
+        if not number and not (content.startswith(b"\x7fELF") and os.access(file, os.X_OK)):
+            message = f"stack: {file} is no program that can be run"
+            raise BadSpecError(message)
+        digest.update(content)
+    return digest.hexdigest()
 
 
 def _check_source(fault: FaultSpec) -> None:
@@ -53,13 +95,38 @@ def _check_source(fault: FaultSpec) -> None:
 
 def _check_instruction(fault: FaultSpec, spec: MissionSpec) -> None:
     target = fault.target
-    _known("kernel", target, KERNELS)
+    own = spec.own_stage(aimed_at(fault))
+    if own is not None:
+        _check_program(fault, own)
+        return
+    check_kernel(target)
     if target in PLANNERS and target != spec.planner:
         message = f"kernel {target!r} never runs with planner {spec.planner!r}: choose --planner {target}"
         raise BadSpecError(message)
     if target in GOAL_KERNELS.values() and target != GOAL_KERNELS.get(spec.mission):
         message = f"kernel {target!r} never runs in mission {spec.mission!r}"
         raise BadSpecError(message)
+    check_machine(fault)
+
+
+def _check_program(fault: FaultSpec, own: OwnStage) -> None:
+    stage = aimed_at(fault)
+    if fault.target != stage:
+        message = f"kernel {fault.target!r} never runs: the stack has a program for {stage}; strike {stage!r}"
+        raise BadSpecError(message)
+    if not own.function:
+        message = f"stack: {stage} names no function, so no instruction of it can be struck"
+        raise BadSpecError(message)
+    if fault.scope != "thread":
+        raise BadSpecError("fault: scope kernel goes with our own kernels; of a program, the call is struck")
+    check_machine(fault)
+
+
+def check_machine(fault: FaultSpec) -> None:
+    """Refuse an instruction-level fault that this machine cannot inject.
+
+    :raises BadSpecError: naming what it lacks and the remedy.
+    """
     try:
         require(fault)
     except AbsentError as error:
@@ -68,6 +135,14 @@ def _check_instruction(fault: FaultSpec, spec: MissionSpec) -> None:
         if not finding.ok:
             message = f"cannot inject: {finding.name}: {finding.remedy}"
             raise BadSpecError(message)
+
+
+def check_kernel(name: str) -> None:
+    """Refuse a name that is no kernel's.
+
+    :raises BadSpecError: naming those that are.
+    """
+    _known("kernel", name, KERNELS)
 
 
 def _known(what: str, name: str, table: Iterable[str]) -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import platform
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 from deploy.scratch import SOCKET_PATH_LIMIT, mission_folder
+from injector import pristine
 from injector.preflight import Finding
 from injector.preflight import check as injector_findings
 from services.bus.session import Meeting, open_session
@@ -17,7 +19,7 @@ from sim.opengl import backend
 
 def examine() -> list[Finding]:
     """Every check, in the order in which a mission needs them."""
-    return [_python(), _processors(), _folder(), _bus(), _rgb(), *injector_findings()]
+    return [_python(), _processors(), _folder(), _bus(), _rgb(), *injector_findings(), _pids()]
 
 
 def _python() -> Finding:
@@ -54,4 +56,17 @@ def _rgb() -> Finding:
     """Never a failure: no flight needs it."""
     found = backend()
     line = "no RGB camera: no offscreen OpenGL" if found is None else f"RGB camera with MUJOCO_GL={found}"
+    return Finding(line, ok=True, remedy="")
+
+
+def _pids() -> Finding:
+    """Never a failure: without, some faults do not replay."""
+    command = [sys.executable, "-P", "-m", "injector.own_pids"]
+    found = subprocess.run(command, env=pristine.environment(os.environ), check=False)  # noqa: S603 - our own
+    line = "nodes have the same pids in every flight"
+    if found.returncode:
+        line = (
+            "nodes have other pids in each flight, so a replay can diverge where a register holds one: "
+            "pid namespaces are for root with CAP_SYS_ADMIN and CAP_SYS_PTRACE, or within user namespaces"
+        )
     return Finding(line, ok=True, remedy="")

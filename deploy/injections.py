@@ -1,4 +1,7 @@
-"""What injections cost on this machine, from injected flights: pauses, rungs, single steps."""
+"""What injections cost on this machine, from injected flights: pauses, rungs, single steps.
+
+All processes of the table fly, the detector too, which is no stage but stands in a pause like one.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +16,23 @@ import numpy as np
 from deploy.forkserver import ForkServer
 from deploy.pairing import Pairs
 from injector.freeze import Tracees
+from services.bus.detection import DetectorSpec
 from services.bus.mission import FaultSpec, MissionSpec
 from services.bus.model import Strict
 from services.bus.outcome import InjectionRecord
 
 TARGETS = ("point_cloud", "octomap", "collision_check", "rrt_star", "trajectory", "pid")
+SCHEME = "gaussian"
 STEPS = 5000
 
 
 class InjectionFigures(Strict):
-    """Figures of one bench. A pause is from the first stop to the last resume of all threads."""
+    """Figures of one bench. A pause is from the first stop to the last resume of all threads.
 
+    ``nodes`` announce themselves; all stand in a pause but one, the injector.
+    """
+
+    nodes: int
     flights: int
     injections: int
     statuses: dict[str, int]
@@ -46,9 +55,12 @@ def measure_injections(
     pairs = Pairs(server)
     records: list[InjectionRecord] = []
     walls = []
+    nodes = set()
     for number in range(flights):
         fault = FaultSpec(target=TARGETS[number % len(TARGETS)], seed=number)
-        outcome = pairs.fly(MissionSpec(seed=number // len(TARGETS), fault=fault))
+        spec = MissionSpec(seed=number // len(TARGETS), fault=fault, detector=DetectorSpec(scheme=SCHEME))
+        outcome = pairs.fly(spec)
+        nodes.add(len(outcome.nodes) + 1)
         walls.append(outcome.wall_s)
         if outcome.injection is not None:
             records.append(outcome.injection)
@@ -57,6 +69,7 @@ def measure_injections(
     pauses = [one.pause_us for one in struck] or [0.0]
     p50, p99 = (float(figure) for figure in np.percentile(pauses, [50, 99]))
     return InjectionFigures(
+        nodes=min(nodes),
         flights=flights,
         injections=len(struck),
         statuses=dict(sorted(Counter(one.status for one in records).items())),

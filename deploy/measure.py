@@ -6,10 +6,12 @@ import json
 import platform as machine
 from collections import defaultdict
 from math import sqrt
+from typing import Any
 
 from deploy.forkserver import ForkServer
 from deploy.mission import fly
 from deploy.supervisor import InfrastructureError
+from detector.schemes import with_models
 from services.bus.mission import MissionSpec
 from services.bus.outcome import KernelUse
 from services.bus.platform import KernelLatency, PlatformDefinition
@@ -20,14 +22,16 @@ _MOST_JITTER = 0.95
 
 
 def measure(server: ForkServer, flights: int) -> PlatformDefinition:
-    """Fly golden flights in Dense with each planner, and of each mission that has a kernel of its own;
-    mean and deviation of each kernel's thread time.
+    """Fly golden flights in Dense with each planner, of each mission that has a kernel of its own, and with
+    each detector; mean and deviation of the thread time of each kernel's calls and each detector's checks.
 
     :raises InfrastructureError: if a kernel never ran.
     """
     uses: dict[str, list[KernelUse]] = defaultdict(list)
-    asked = [{"planner": planner} for planner in PLANNERS]
+    detectors = with_models()
+    asked: list[dict[str, Any]] = [{"planner": planner} for planner in PLANNERS]
     asked += [{"mission": mission} for mission in ("scanning", "mapping")]  # the kernels that choose goals
+    asked += [{"detector": {"scheme": scheme, "check_us": 0}} for scheme in detectors]
     for fields in asked:
         for seed in range(flights):
             spec = MissionSpec.model_validate({"world": "dense", "seed": seed, **fields})
@@ -41,10 +45,13 @@ def measure(server: ForkServer, flights: int) -> PlatformDefinition:
         raise InfrastructureError(message)
     source = (
         f"Measured on this {machine.machine()} machine: thread time,"
-        f" flights per planner and mission in Dense: {flights}."
+        f" flights per planner, mission and detector in Dense: {flights}."
     )
     return PlatformDefinition(
-        name="host", source=source, kernels={kernel: latency(uses[kernel]) for kernel in KERNELS}
+        name="host",
+        source=source,
+        kernels={kernel: latency(uses[kernel]) for kernel in KERNELS},
+        detectors={scheme: latency(uses[scheme]) for scheme in detectors},
     )
 
 
@@ -54,19 +61,15 @@ def latency(uses: list[KernelUse]) -> KernelLatency:
     mean_ns = sum(use.cpu_ns for use in uses) / calls
     variance = max(sum(use.cpu_squares_ns2 for use in uses) / calls - mean_ns**2, 0.0)
     jitter = min(sqrt(variance) / mean_ns, _MOST_JITTER) if mean_ns else 0.0
-    return KernelLatency(mean_ms=round(mean_ns / 1e6, 4), jitter=round(jitter, 3))
+    return KernelLatency(mean_ms=round(mean_ns / 1e6, 6), jitter=round(jitter, 3))
 
 
 def to_toml(platform: PlatformDefinition) -> str:
     """The file of a platform."""
-    lines = [
-        f"name = {json.dumps(platform.name)}",
-        f"source = {json.dumps(platform.source)}",
-        "",
-        "[kernels]",
-    ]
-    lines += [
-        f"{kernel} = {{ mean_ms = {stated.mean_ms}, jitter = {stated.jitter} }}"
-        for kernel, stated in platform.kernels.items()
-    ]
+    lines = [f"name = {json.dumps(platform.name)}", f"source = {json.dumps(platform.source)}"]
+    for table, stated in (("kernels", platform.kernels), ("detectors", platform.detectors)):
+        lines += ["", f"[{table}]"]
+        lines += [
+            f"{name} = {{ mean_ms = {one.mean_ms}, jitter = {one.jitter} }}" for name, one in stated.items()
+        ]
     return "\n".join([*lines, ""])

@@ -6,22 +6,28 @@ import queue
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zenoh
 
-from deploy.forkserver import EXIT_BUG, ForkServer
-from deploy.platform import load_platform
+from deploy.alarms import Alarms
+from deploy.forkserver import ForkServer
+from deploy.mould import EXIT_BUG
+from deploy.platform import check_latency, load_platform
 from deploy.recorder import Recorder, Trace
 from deploy.scratch import mission_folder
+from deploy.settling import EVENTS, Sent, Settling
 from deploy.supervisor import InfrastructureError, Member, Supervisor
+from deploy.tape import Tap
 from services.bus import session
 from services.bus.clock import FlightClock
+from services.bus.courier import LIFE_SHIFT
 from services.bus.horizon import NEVER_NS, Stamped
-from services.bus.messages import Horizon, MalformedMessageError, decode, encode
-from services.bus.mission import MissionSpec
-from services.bus.node import LIFE_SHIFT, NodeSetup
+from services.bus.messages import Alarm, Horizon, Injection, MalformedMessageError, decode, encode
+from services.bus.mission import MissionSpec, Trigger
+from services.bus.node import DETECTOR, NodeSetup
 from services.bus.outcome import (
     NO_FLIGHT,
     InjectionRecord,
@@ -30,6 +36,7 @@ from services.bus.outcome import (
     NodeResult,
     Outcome,
     QoF,
+    repeatable,
 )
 from services.bus.topics import HORIZON_TYPE, RECORDED, STAGES, TOPICS
 from services.kernels import KERNELS, aimed_at
@@ -40,12 +47,9 @@ LOOK_S = 0.02
 STALL_S = 20.0
 """Wall time without a message or promise after which somebody must be hanging outside a step."""
 
-CATCH_UP_S = 2.0
 GRACE_S = 2.0
-
-
-class LostMessageError(InfrastructureError):
-    """A dying node's last messages did not reach the recorder: the flight cannot be told, fly it again."""
+BURIAL_S = 2.0
+"""Longest wait for the end of a detector that is known to be dead."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,37 +59,66 @@ class Flight:
     outcome: Outcome
     trace: Trace
     messages: Mapping[str, Sequence[Stamped]] | None = None
+    late: int = 0
 
 
-def fly(spec: MissionSpec, server: ForkServer, *, keep_messages: bool = False) -> Flight:
+Watch = Callable[[MissionSpec, Recorder], None]
+"""Is given the recorder of each flight as it begins, to look into from another thread."""
+
+
+def fly(
+    spec: MissionSpec,
+    server: ForkServer,
+    *,
+    keep_messages: bool = False,
+    watch: Watch | None = None,
+    taps: Sequence[Tap] = (),
+) -> Flight:
     """Fly one mission on a fork server; a pure function of ``spec`` as far as virtual time goes.
 
-    ``keep_messages`` gives the caller every recorded message up to the end of the mission, by topic.
+    ``keep_messages`` gives the caller every recorded message up to the end of the mission, by topic; ``taps``
+    are given the same meanwhile, and injection and alarms, in the order of virtual time.
 
     :raises InfrastructureError: if we failed. A crashed vehicle or node returns normally.
     """
-    attempts = 3
-    for _ in range(attempts - 1):
-        try:
-            return _Mission(spec, server).fly(keep_messages=keep_messages)
-        except LostMessageError:
-            continue
-    return _Mission(spec, server).fly(keep_messages=keep_messages)
+    return _Mission(spec, server, watch, taps).fly(keep_messages=keep_messages)
+
+
+def as_stages_know_it(spec: MissionSpec) -> MissionSpec:
+    """The specification with no more of the struck call than names it.
+
+    A replay knows the instruction, too, but its nodes must begin with the same memory as the first time.
+    """
+    fault = spec.fault
+    if fault is None or fault.trigger is None or fault.level != "instruction":
+        return spec
+    after_ns = fault.trigger.after_ns
+    call = Trigger(after_ns=after_ns, invocation=fault.trigger.invocation if after_ns is None else None)
+    return spec.model_copy(update={"fault": fault.model_copy(update={"trigger": call})})
 
 
 class _Mission:
-    def __init__(self, spec: MissionSpec, server: ForkServer) -> None:
+    def __init__(
+        self, spec: MissionSpec, server: ForkServer, watch: Watch | None, taps: Sequence[Tap]
+    ) -> None:
         self._spec = spec
         self._server = server
         self._recorder = Recorder()
+        self._taps = taps
+        told = spec.fault is not None or spec.detector is not None
+        self._settling = Settling(self._recorder, held=told, realtime=spec.clock == "realtime")
+        if watch is not None:
+            watch(spec, self._recorder)
         self._events: queue.SimpleQueue[tuple[Callable[[Any], None], Any]] = queue.SimpleQueue()
         self._injection: InjectionRecord | None = None
+        self._alarms = Alarms()
         self._horizons: dict[str, zenoh.Publisher] = {}
         self._result: MissionResult | None = None
         self._reason = ""
         self._qof: QoF | None = None
         self._end_ns = NEVER_NS
         self._last_word = 0.0
+        self._clock: Path | None = None
 
     def fly(self, *, keep_messages: bool) -> Flight:
         begin = time.monotonic()
@@ -93,18 +126,20 @@ class _Mission:
             meeting = session.Meeting(folder, f"zenfi/{folder.name}")
             if self._spec.clock == "realtime":
                 FlightClock.create(meeting.clock)
+                self._clock = meeting.clock
             with session.open_session(meeting, "router", router=True) as bus:
                 self._listen(bus)
                 self._supervisor = Supervisor(self._server, meeting, self._spec.limits.hang_cpu_s)
                 try:
                     self._start_all()
                     self._until_ended()
+                    self._answered_for()
                     self._supervisor.end(GRACE_S, lambda: self._take_in(0.001))
+                    self._pass_on(self._settling.rest(self._end_ns))
                     trace = self._recorder.trace(self._end_ns)
                     outcome = self._outcome(trace, time.monotonic() - begin)
-                    return Flight(
-                        outcome, trace, self._recorder.until(self._end_ns) if keep_messages else None
-                    )
+                    messages = self._recorder.until(self._end_ns) if keep_messages else None
+                    return Flight(outcome, trace, messages, self._settling.late)
                 finally:
                     self._supervisor.close()
 
@@ -125,6 +160,12 @@ class _Mission:
             bus.declare_queryable(
                 f"{session.HISTORY_KEY}/**",
                 session.hand_over(lambda query: self._events.put((self._answer, query))),
+            )
+        )
+        self._declared.append(
+            bus.declare_queryable(
+                session.alarm_key("*"),
+                session.hand_over(lambda query: self._events.put((self._take_alarm, query))),
             )
         )
         self._horizons = {stage: bus.declare_publisher(session.horizon_key(stage)) for stage in STAGES}
@@ -148,7 +189,19 @@ class _Mission:
 
     def _take_injection(self, sample: zenoh.Sample) -> None:
         message = decode(sample.payload.to_bytes(), TOPICS["injection"].type)
-        self._injection = InjectionRecord.model_validate_json(message.record)
+        record = self._injection = InjectionRecord.model_validate_json(message.record)
+        told = Injection(record=repeatable(record).model_dump_json(by_alias=True))
+        self._settling.tell("injection", record.virtual_time_ns, encode(told, TOPICS["injection"].type))
+
+    def _take_alarm(self, query: zenoh.Query) -> None:
+        alarm = self._alarms.take(query)
+        if alarm is not None:
+            told = Alarm(record=alarm.model_dump_json())
+            self._settling.tell("alarm", alarm.virtual_time_ns, encode(told, EVENTS["alarm"]))
+
+    def _pass_on(self, batch: Sequence[Sent]) -> None:
+        for tap in self._taps if batch else ():
+            tap.offer(batch)
 
     def _answer(self, query: zenoh.Query) -> None:
         """Give a node the messages that it missed."""
@@ -170,20 +223,41 @@ class _Mission:
     def _start_all(self) -> None:
         fault = self._spec.fault
         injector_needed = fault is not None and fault.level == "instruction"
-        processes = [one for one in self._server.stack.values() if injector_needed or not one.with_fault]
+        detector = self._spec.detector
+        processes = [
+            one
+            for one in self._server.stack.values()
+            if (injector_needed or not one.with_fault) and (detector is not None or not one.with_detector)
+        ]
         self._expected = [process.name for process in processes]
         self._latencies = load_platform(self._spec.platform).kernels
+        if detector is not None:
+            check = check_latency(self._spec.platform, detector)
+            self._latencies = {**self._latencies, DETECTOR: check}
+        if self._spec.stack is not None:
+            for stage, own in self._spec.stack.stages.items():
+                self._latencies = {**self._latencies, stage: own.latency}
         for process in processes:
             self._supervisor.start(process, self._setup(process.name))
 
     def _setup(self, name: str) -> NodeSetup:
+        sidecar = self._server.stack[name].sidecar
         return NodeSetup(
             name=name,
-            spec=self._spec,
-            kernels=[kernel.name for kernel in KERNELS.values() if kernel.stage == name],
+            spec=self._spec if sidecar else as_stages_know_it(self._spec),
+            kernels=self._kernels(name),
             latencies=self._latencies,
             expected=self._expected,
+            clock=self._clock,
         )
+
+    def _kernels(self, name: str) -> list[str]:
+        """What is counted and timed in a node: of the detector its scheme, of an executable all it does."""
+        if name == DETECTOR and self._spec.detector is not None:
+            return [self._spec.detector.scheme]
+        if self._spec.own_stage(name) is not None:
+            return [name]
+        return [kernel.name for kernel in KERNELS.values() if kernel.stage == name]
 
     # -- flying ------------------------------------------------------------------------------------
 
@@ -193,6 +267,8 @@ class _Mission:
         while self._result is None or not self._recorder.complete(self._end_ns):
             if self._take_in(LOOK_S):
                 self._look_for_end()
+                if self._taps:
+                    self._pass_on(self._settling.take(self._end_ns))
             if time.monotonic() - last_look > LOOK_S:
                 last_look = time.monotonic()
                 self._bury_and_revive()
@@ -227,13 +303,18 @@ class _Mission:
     def _stalled(self) -> None:
         if any(one.alive and one.vitals.page["gated"] for one in self._supervisor.members.values()):
             return  # scouts are under way; should the injector die of it, that is heard of
-        if self._spec.fault is None:
+        if any(one.alive and one.vitals.page["asking"] for one in self._supervisor.members.values()):
+            # It hangs without computing, as when it was stopped: the stage that asks would wait for ever.
+            self._supervisor.kill_as_hung(self._supervisor.members[DETECTOR])
+            return
+        fault = self._spec.fault
+        if fault is None or not self._supervisor.members[aimed_at(fault)].alive:
             tails = "; ".join(
                 f"{one.process.name}: {one.log_tail}" for one in self._supervisor.members.values()
             )
             message = f"nobody said anything for {STALL_S:.0f} s ({tails})"
             raise InfrastructureError(message)
-        self._supervisor.kill_as_hung(self._supervisor.members[aimed_at(self._spec.fault)])
+        self._supervisor.kill_as_hung(self._supervisor.members[aimed_at(fault)])
 
     # -- dying -------------------------------------------------------------------------------------
 
@@ -248,27 +329,13 @@ class _Mission:
             if name == "injector":
                 message = f"the injector died: {member.causes[-1]}"
                 raise InfrastructureError(message)
-            self._catch_up(member)
+            if member.process.with_detector:
+                continue  # the stages go on without verdicts
             self._look_for_end()
             if member.process.essential:
                 self._fail(name, member)
-            elif self._result is None:
+            else:
                 self._replace(member)
-
-    def _catch_up(self, member: Member) -> None:
-        """Wait until all that a dead node published is recorded."""
-        stage = member.process.name
-        deadline = time.monotonic() + CATCH_UP_S
-        while any(
-            recorded < published
-            for recorded, published in zip(
-                self._recorder.published(stage).values(), member.published(), strict=True
-            )
-        ):
-            if time.monotonic() > deadline:
-                message = f"{stage} died before its last messages had left it"
-                raise LostMessageError(message)
-            self._take_in(LOOK_S)
 
     def _fail(self, name: str, member: Member) -> None:
         last = self._recorder.last("odometry")
@@ -281,14 +348,17 @@ class _Mission:
         stage, limits = member.process.name, self._spec.limits
         silent_until = self._recorder.silent_until_ns(stage)
         died_ns = int(member.vitals.page["step_ns"])
-        may_restart = member.life < limits.restarts
+        # After the end nobody is started again, but who waits for this stage must hear that it is silent.
+        may_restart = member.life < limits.restarts and self._result is None
         start_ns = (
             max(silent_until, died_ns + round(limits.restart_delay_s * 1e9)) if may_restart else NEVER_NS
         )
         self._promise_for(stage, member.life + 1, start_ns)
         if may_restart:
+            members = self._supervisor.members
             setup = self._setup(stage).model_copy(
                 update={
+                    "expected": [name for name in self._expected if members[name].alive or name == stage],
                     "life": member.life + 1,
                     "start_ns": start_ns,
                     "published": self._recorder.published(stage),
@@ -311,6 +381,21 @@ class _Mission:
         self._recorder.hear(stage, payload)
         self._horizons[stage].put(payload)
 
+    def _answered_for(self) -> None:
+        """See to it that a detector of which verdicts are missing is known to have died.
+
+        :raises InfrastructureError: if it lives: then questions got lost, and that is our failure.
+        """
+        members = self._supervisor.members
+        ungated = sum(int(one.vitals.page["ungated"]) for one in members.values())
+        deadline = time.monotonic() + BURIAL_S
+        while ungated and members[DETECTOR].alive:
+            if time.monotonic() > deadline:
+                message = f"{ungated} questions to the detector, which lives, were not answered"
+                raise InfrastructureError(message)
+            self._take_in(LOOK_S)
+            self._bury_and_revive()
+
     # -- telling -----------------------------------------------------------------------------------
 
     def _outcome(self, trace: Trace, wall_s: float) -> Outcome:
@@ -326,7 +411,7 @@ class _Mission:
                 model=fault.model,
                 scope=fault.scope,
             )
-        spec = self._spec
+        spec, nodes = self._spec, self._reports()
         if fault is not None and injection is not None and injection.trigger is not None:
             spec = spec.model_copy(update={"fault": fault.model_copy(update={"trigger": injection.trigger})})
         return Outcome(
@@ -336,13 +421,15 @@ class _Mission:
             qof=self._qof if self._qof is not None else NO_FLIGHT,
             digest=trace.digest(),
             wall_s=wall_s,
-            nodes=self._reports(),
+            nodes=nodes,
             topics={topic.name: trace.report(topic.name, None) for topic in RECORDED},
             injection=injection,
+            detection=self._alarms.report(spec, trace, self._end_ns, injection, nodes),
             refused_messages=self._recorder.refused,
             recovered_messages=sum(
                 int(m.vitals.page["recovered"]) for m in self._supervisor.members.values()
             ),
+            fixed_pids=self._server.fixed_pids,
         )
 
     def _reports(self) -> dict[str, NodeReport]:
@@ -352,4 +439,5 @@ class _Mission:
             return "crash" if member.crashes else "golden"
 
         members = self._supervisor.members
-        return {name: member.report(result(member)) for name, member in members.items() if name in STAGES}
+        told = (*STAGES, DETECTOR)
+        return {name: member.report(result(member)) for name, member in members.items() if name in told}

@@ -7,17 +7,24 @@ paired with it, and what differs from it is silent data corruption.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from deploy.forkserver import ForkServer
-from deploy.mission import Flight, fly
+from deploy.live import Feed
+from deploy.mission import Flight, Watch, fly
+from deploy.propagation import propagation
+from deploy.tape import Tap, Tape
 from services.bus import rng
 from services.bus.mission import FaultSpec, MissionSpec, Trigger
 from services.bus.outcome import GoldenTwin, NodeReport, Outcome
 from services.bus.states import members
 from services.bus.topics import RECORDED, published_by
-from services.kernels import KERNELS
+from services.kernels import aimed_at
 
 TWINS_KEPT = 16
 
@@ -29,30 +36,65 @@ class NothingToInjectError(ValueError):
 class Pairs:
     """Flies missions, each faulty one beside its golden twin; a twin flies once for all its faults."""
 
-    def __init__(self, server: ForkServer) -> None:
+    def __init__(self, server: ForkServer, watch: Watch | None = None) -> None:
         self._server = server
+        self._watch = watch
+        self._live: Path | None = None
         self._twins: OrderedDict[str, Flight] = OrderedDict()
 
-    def fly(self, spec: MissionSpec) -> Outcome:
+    def fly(
+        self,
+        spec: MissionSpec,
+        record: Path | None = None,
+        about: Mapping[str, str] | None = None,
+        live: Path | None = None,
+    ) -> Outcome:
         """The outcome of ``spec``; with a fault, compared with its golden twin.
+
+        Recorded to a file, if one is named, with what ``about`` says; then it is also told how the error
+        passed on. ``live`` is the socket of who shows flights while they are flown.
 
         :raises NothingToInjectError: if the twin never runs the fault's kernel.
         """
+        self._live = live
         if spec.fault is None:
-            return self._golden(spec).outcome
-        twin = self._golden(spec.model_copy(update={"fault": None}))
+            if record is None:
+                return self._golden(spec).outcome
+            with Tape(record, spec, about) as tape:
+                return _told(self._golden(spec, tape), tape).outcome
+        twin = self._golden(spec.model_copy(update={"fault": None}), keep=record is not None)
         fault = spec.fault
         if fault.trigger is None or not fault.trigger.names_a_call:
             fault = fault.model_copy(update={"trigger": draw_call(fault, twin.outcome)})
-        return compare(fly(spec.model_copy(update={"fault": fault}), self._server), twin)
+        spec = spec.model_copy(update={"fault": fault})
+        if record is None:
+            return compare(self._fly(spec), twin)
+        with Tape(record, spec, about) as tape:
+            return compare(_told(self._fly(spec, tape), tape), twin)
 
-    def _golden(self, spec: MissionSpec) -> Flight:
-        key = spec.model_dump_json()
-        if key not in self._twins:
-            self._twins[key] = fly(spec, self._server)
+    def _golden(self, spec: MissionSpec, tape: Tape | None = None, *, keep: bool = False) -> Flight:
+        key, keep = spec.model_dump_json(), keep or tape is not None
+        known = self._twins.get(key)
+        if known is not None and known.messages is not None and tape is not None:
+            tape.copy(known.messages)
+        elif known is None or (keep and known.messages is None):
+            self._twins[key] = self._fly(spec, *([] if tape is None else [tape]), keep=keep)
             if len(self._twins) > TWINS_KEPT:
                 self._twins.popitem(last=False)
         return self._twins[key]
+
+    def _fly(self, spec: MissionSpec, *taps: Tap, keep: bool = False) -> Flight:
+        keep = keep or bool(taps)
+        with ExitStack() as stack:
+            if self._live is not None:
+                taps = (*taps, stack.enter_context(Feed(self._live, spec)))
+            return fly(spec, self._server, keep_messages=keep, watch=self._watch, taps=taps)
+
+
+def _told(flight: Flight, tape: Tape) -> Flight:
+    """The flight with what its recording holds."""
+    report = tape.finish(flight.outcome).model_copy(update={"late": flight.late})
+    return replace(flight, outcome=flight.outcome.model_copy(update={"recording": report}))
 
 
 def draw_call(fault: FaultSpec, golden: Outcome) -> Trigger:
@@ -67,7 +109,7 @@ def draw_call(fault: FaultSpec, golden: Outcome) -> Trigger:
             message = f"the golden flight never publishes {fault.target}: nothing to inject into"
             raise NothingToInjectError(message)
         return _drawn(fault, golden, draw, messages)
-    use = golden.nodes[KERNELS[fault.target].stage].kernels.get(fault.target)
+    use = golden.nodes[aimed_at(fault)].kernels.get(fault.target)
     if use is None:
         message = f"the golden flight never runs {fault.target}: nothing to inject into"
         raise NothingToInjectError(message)
@@ -107,10 +149,14 @@ def compare(flight: Flight, twin: Flight) -> Outcome:
         return report.model_copy(update={"result": "sdc" if strayed else "benign"})
 
     golden = twin.outcome
+    passed_on = None
+    if repeats and flight.messages is not None and twin.messages is not None:
+        passed_on = propagation(flight.messages, twin.messages, flight.outcome.injection)
     return flight.outcome.model_copy(
         update={
             "topics": topics,
             "nodes": {stage: judged(stage, report) for stage, report in flight.outcome.nodes.items()},
             "golden": GoldenTwin(result=golden.result, qof=golden.qof, digest=golden.digest),
+            "propagation": passed_on,
         }
     )

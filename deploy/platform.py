@@ -6,7 +6,8 @@ import tomllib
 from functools import cache
 from importlib.resources import files
 
-from services.bus.platform import PlatformDefinition
+from services.bus.detection import DetectorSpec
+from services.bus.platform import KernelLatency, PlatformDefinition
 from services.kernels import KERNELS
 
 
@@ -46,3 +47,17 @@ def load_platform(asked: str | PlatformDefinition) -> PlatformDefinition:
         )
         raise BadPlatformError(message)
     return platform
+
+
+def check_latency(asked: str | PlatformDefinition, detector: DetectorSpec) -> KernelLatency:
+    """The latency of one check of a detector.
+
+    :raises BadPlatformError: if neither the detector's specification nor the platform states it.
+    """
+    if detector.check_us is not None:
+        return KernelLatency(mean_ms=detector.check_us / 1e3)
+    platform = load_platform(asked)
+    if detector.scheme not in platform.detectors:
+        message = f"platform {platform.name}: no latency for detector {detector.scheme}: give its check_us"
+        raise BadPlatformError(message)
+    return platform.detectors[detector.scheme]

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import bisect
 import hashlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from services.bus.horizon import NEVER_NS, Channel, Stamped
 from services.bus.messages import MalformedMessageError
@@ -22,17 +24,35 @@ class Trace:
     times_ns: dict[str, list[int]] = field(default_factory=dict)
     digests: dict[str, list[bytes]] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, messages: Mapping[str, Sequence[Stamped]]) -> Trace:
+        """The trace of a flight's messages by topic."""
+        return cls(
+            {topic: [message.ready_ns for message in kept] for topic, kept in messages.items()},
+            {topic: [_digest(message) for message in kept] for topic, kept in messages.items()},
+        )
+
     def report(self, topic: str, twin: Trace | None) -> TopicReport:
         """The topic's digest, and when its messages left those of the golden ``twin``."""
-        times, digests = self.times_ns[topic], self.digests[topic]
-        diverged_ns = None
-        if twin is not None:
-            diverged_ns = first_divergence_ns(times, digests, twin.times_ns[topic], twin.digests[topic])
+        digests = self.digests[topic]
+        left = self.divergence(topic, twin) if twin is not None else None
         return TopicReport(
             messages=len(digests),
             digest=hashlib.blake2b(b"".join(digests), digest_size=DIGEST_BYTES).hexdigest(),
-            diverged_at_s=None if diverged_ns is None else diverged_ns / 1e9,
+            diverged_at_s=None if left is None else left.at_ns / 1e9,
         )
+
+    def divergence(self, topic: str, twin: Trace) -> Divergence | None:
+        """The first message of a topic that differs from, or is missing in, one of the two flights."""
+        times, digests = self.times_ns[topic], self.digests[topic]
+        twin_times, twin_digests = twin.times_ns[topic], twin.digests[topic]
+        pairs = zip(digests, twin_digests, strict=False)
+        for number, (digest, twin_digest) in enumerate(pairs):
+            if digest != twin_digest:
+                return Divergence(number, min(times[number], twin_times[number]))
+        shorter = min(len(digests), len(twin_digests))
+        rest = times[shorter:] or twin_times[shorter:]
+        return Divergence(shorter, rest[0]) if rest else None
 
     def digest(self) -> str:
         """Over every recorded message of the flight."""
@@ -45,18 +65,11 @@ class Trace:
         return whole.hexdigest()
 
 
-def first_divergence_ns(
-    times: list[int], digests: list[bytes], twin_times: list[int], twin_digests: list[bytes]
-) -> int | None:
-    """Virtual time of the first message that differs from, or is missing in, one of the two flights."""
-    for time_ns, digest, twin_time_ns, twin_digest in zip(
-        times, digests, twin_times, twin_digests, strict=False
-    ):
-        if digest != twin_digest:
-            return min(time_ns, twin_time_ns)
-    shorter = min(len(digests), len(twin_digests))
-    rest = times[shorter:] or twin_times[shorter:]
-    return rest[0] if rest else None
+class Divergence(NamedTuple):
+    """Where a topic left its twin's: number of the message, virtual time of the earlier of the two."""
+
+    message: int
+    at_ns: int
 
 
 class Recorder:
@@ -125,6 +138,17 @@ class Recorder:
             start[topic.name] = max(first - 1, 0) if topic.qos == "latched" else first
         return start
 
+    @property
+    def horizon_ns(self) -> int:
+        """No message that is not yet recorded is ready before this time."""
+        return min(channel.horizon_ns for channel in self._channels.values())
+
+    @property
+    def newest_ns(self) -> int:
+        """When the newest odometry was ready; 0 before the first."""
+        last = self.last("odometry")
+        return last.ready_ns if last is not None else 0
+
     def complete(self, end_ns: int) -> bool:
         """Whether everything up to and including ``end_ns`` is recorded."""
         return all(channel.horizon_ns > end_ns for channel in self._channels.values())
@@ -138,11 +162,7 @@ class Recorder:
 
     def trace(self, end_ns: int) -> Trace:
         """Times and digests of what was ready up to and including ``end_ns``."""
-        trace = Trace()
-        for topic, kept in self.until(end_ns).items():
-            trace.times_ns[topic] = [message.ready_ns for message in kept]
-            trace.digests[topic] = [_digest(message) for message in kept]
-        return trace
+        return Trace.of(self.until(end_ns))
 
 
 def _digest(message: Stamped) -> bytes:

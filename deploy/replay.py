@@ -12,10 +12,10 @@ from services.bus.outcome import InjectionRecord, Outcome
 
 _SAME = (
     *("status", "mode", "kernel", "invocation", "virtual_time_ns", "module", "build_id", "offset", "symbol"),
-    *("instruction_bytes", "operand", "register_name", "width_bits", "bits", "holds_address", "resampled"),
+    *("instruction_bytes", "operand", "register_name", "width_bits", "bits", "address", "resampled"),
     *("model", "scope", "element_bits", "instruction_after", "held_instructions", "state", "point"),
+    *("before", "after", "read_back"),
 )
-_VALUES = ("before", "after", "read_back")
 
 
 class Replay(Strict):
@@ -63,14 +63,13 @@ def compare(first: Outcome, again: Outcome) -> Replay:
 
 
 def _told(outcome: Outcome) -> dict[str, Any]:
-    """What has to be the same in every repetition; addresses move with what other threads allocate."""
+    """What has to be the same in every repetition."""
     told: dict[str, Any] = {"result": outcome.result, "digest": outcome.digest, "qof": outcome.qof}
     for stage, report in outcome.nodes.items():
         told[f"{stage}'s end"] = (report.crashes, report.hangs, report.causes)
     record = outcome.injection
     if record is not None:
         told |= {name: getattr(record, name) for name in _SAME}
-        told |= {name: None if record.holds_address else getattr(record, name) for name in _VALUES}
         told |= _site(record)
     return told
 

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from services.bus.announce import start_ticks
+from services.bus.process_stat import process_stat
 
 PREFIX = "zenfi-"
 SOCKET_PATH_LIMIT = 107
@@ -49,7 +50,7 @@ def sweep(parent: Path) -> None:
 
 def _alive(pid: int, start: int) -> bool:
     try:
-        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
-        return state != "Z" and start_ticks(pid) == start
-    except (FileNotFoundError, ProcessLookupError):
+        found = process_stat(pid)
+    except OSError:
         return False
+    return found.state != "Z" and found.start_ticks == start

@@ -12,22 +12,31 @@ class Process:
     """One process of a mission.
 
     ``module`` holds ``main``; a process is ``essential`` if the mission cannot go on without it (it
-    is then not restarted), and runs only ``with_fault`` if it is needed for nothing else.
+    is then not restarted), and runs only ``with_fault`` or ``with_detector`` if it is needed for nothing
+    else. Without its detector a mission goes on, and it is not started again. A ``sidecar`` is no stage:
+    it has no courier and opens a session of its own.
     """
 
     name: str
     module: str
     essential: bool = False
     with_fault: bool = False
+    sidecar: bool = False
+    with_detector: bool = False
 
 
 _TABLE = (
     # First, so that the nodes can name it as their tracer.
-    Process("injector", "injector.node", essential=True, with_fault=True),
+    Process("injector", "injector.node", essential=True, with_fault=True, sidecar=True),
     Process("sim", "sim.node", essential=True),
     Process("perception", "services.perception.node"),
     Process("planning", "services.planning.node"),
     Process("control", "services.control.node"),
+    # Last, so that at the end no stage outlives it.
+    Process("detector", "detector.node", with_detector=True, sidecar=True),
 )
 
 STACK: Mapping[str, Process] = MappingProxyType({process.name: process for process in _TABLE})
+
+FOREIGN = "services.foreign.node"
+"""The module that runs instead of a stage's where the mission's own stack names an executable for it."""

@@ -1,81 +1,115 @@
-"""The kernel study on this machine: workers, one a processor, each with its share of the injections."""
+"""The kernel study on this machine: workers, one a processor, that take the places to strike in lots."""
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable
+from typing import Protocol
 
-from deploy.check import BadSpecError
-from deploy.supervisor import InfrastructureError
-from injector.architecture import AbsentError, require
-from injector.preflight import check as preflight
-from injector.study import StudyRun
+from deploy.study_workers import Workers
+from injector.clock import CHAINS, TRACE, Clock, clock_of, usable_anchors
+from injector.study import Answer, StudyRun, Task
+from injector.sweep import Place, draw, legs
+from services.bus import rng
 from services.bus.mission import FaultSpec
-from services.kernels import KERNELS
+
+FIRST_ROUND = 0.9
+"""Part of the places that will do by the survey that are drawn at first; then it is known how many do."""
+
+MARGIN = 1.03
+"""So many times the places that will do are drawn afterwards: going through a call for a few more is dear."""
 
 
-def check_study(kernels: Sequence[str]) -> None:
-    """Refuse what cannot be studied.
+class Memory(Protocol):
+    """What is known of a study that was begun before."""
 
-    :raises BadSpecError: naming the kernel or what this machine lacks, and what would be right.
+    clock: Clock | None
+    runs: dict[int, StudyRun]
+
+    def survey(self, clock: Clock) -> None:
+        """Keep the clock."""
+
+    def add(self, run: StudyRun) -> None:
+        """Keep what came of one injection."""
+
+
+class Study:
+    """``injections`` strikes at one kernel alone; what is drawn depends on ``seed`` and nothing else.
+
+    The places are numbered as they are drawn, and some are refused (:mod:`injector.clock`); the study is
+    that of the first ones that are not. ``cpu_s`` is the processor time that was used.
     """
-    for kernel in kernels:
-        if kernel not in KERNELS:
-            message = f"unknown kernel {kernel!r}; known: {', '.join(KERNELS)}"
-            raise BadSpecError(message)
-    for finding in preflight():
-        if not finding.ok:
-            message = f"cannot inject: {finding.name}: {finding.remedy}"
-            raise BadSpecError(message)
 
+    def __init__(
+        self, kernel: str, fault: FaultSpec, injections: int, seed: int, slots: int, memory: Memory
+    ) -> None:
+        self._kernel, self._fault, self._injections = kernel, fault, injections
+        self._seed, self._slots, self._memory = seed, slots, memory
+        self._drawn = 0
+        self.cpu_s = 0.0
 
-def study(kernel: str, fault: FaultSpec, injections: int, seed: int, slots: int) -> Iterator[StudyRun]:
-    """Strike ``kernel`` alone, ``injections`` times. Leaving early ends everything that was started.
+    def run(self, made: Callable[[StudyRun], object] = lambda _: None) -> list[StudyRun]:
+        """Make what is not yet made, telling of each; all of the study, in the order of their numbers.
 
-    Which injection a slot makes changes nothing but the order in which they come.
+        :raises InfrastructureError: if a worker fails.
+        """
+        with Workers(self._kernel, self._slots) as workers:
+            try:
+                if self._memory.clock is None:
+                    self._survey(workers)
+                while (missing := self._injections - self._done()) > 0:
+                    self._round(workers, self._more(missing), made)
+            finally:
+                self.cpu_s = workers.cpu_s
+        return self._first()
 
-    :raises BadSpecError: if this processor has no such registers.
-    :raises InfrastructureError: if a worker ended before its share was done.
-    """
-    try:
-        require(fault)
-    except AbsentError as error:
-        raise BadSpecError(str(error)) from error
-    cpus = sorted(os.sched_getaffinity(0))
-    workers = [
-        subprocess.Popen(  # noqa: S603 - our own interpreter and module
-            [
-                *(sys.executable, "-m", "injector.study", kernel, fault.model_dump_json()),
-                *map(str, (seed, injections, slot, slots, cpus[slot % len(cpus)])),
-            ],
-            env={**os.environ, "PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        for slot in range(min(slots, injections))
-    ]
-    made: Counter[int] = Counter()
-    try:
-        working = list(enumerate(workers))
-        while working:
-            # In turn: they are about as fast as each other, and a pipe holds what is not yet read.
-            for slot, worker in list(working):
-                assert worker.stdout is not None  # noqa: S101 - asked for above
-                line = worker.stdout.readline()
-                if line:
-                    made[slot] += 1
-                    yield StudyRun.model_validate_json(line)
-                else:
-                    working.remove((slot, worker))
-    finally:
-        for worker in workers:
-            worker.kill()
-            worker.communicate()
-    if made.total() != injections:
-        message = f"{kernel}: a worker ended after {made.total()} of {injections} injections"
-        raise InfrastructureError(message)
+    def _survey(self, workers: Workers) -> None:
+        (begin,) = self._surveyed(workers, [Task()])
+        assert begin.traces is not None  # noqa: S101 - asked for
+        (first,) = begin.traces
+        if begin.whole:
+            self._memory.survey(Clock(reach=len(first)))
+            return
+        first = first[:TRACE]
+        chains = self._surveyed(workers, [Task(begin=first, chain=number) for number in range(CHAINS)])
+        traces = [first, *sorted(trace for one in chains for trace in one.traces or ())]
+        addresses = usable_anchors(traces)
+        parts = [addresses[at :: self._slots] for at in range(self._slots)]
+        counted = self._surveyed(workers, [Task(addresses=tuple(part)) for part in parts if part])
+        passes = dict(pair for one in counted for pair in one.passes or ())
+        self._memory.survey(clock_of(traces, {address: passes[address] for address in addresses}))
+
+    def _surveyed(self, workers: Workers, tasks: list[Task]) -> list[Answer]:
+        answers = workers.work(tasks)
+        return [one for one in answers if one.traces is not None or one.passes is not None]
+
+    def _done(self) -> int:
+        return sum(index < self._drawn for index in self._memory.runs)
+
+    def _first(self) -> list[StudyRun]:
+        runs = self._memory.runs
+        return [runs[index] for index in sorted(runs)][: self._injections]
+
+    def _more(self, missing: int) -> list[Place]:
+        """The next places, as many as will about do."""
+        clock = self._memory.clock
+        assert clock is not None  # noqa: S101 - surveyed before
+        rate = max(self._done(), 1) / self._drawn if self._drawn else clock.kept
+        margin = MARGIN if self._drawn else FIRST_ROUND
+        count = missing if rate >= 1 else int(missing / rate * margin) + 8
+        begin, self._drawn = self._drawn, self._drawn + count
+        stream = f"place {self._kernel}"
+        return [
+            draw(clock, index, rng.generator(self._seed, stream, index))
+            for index in range(begin, self._drawn)
+        ]
+
+    def _round(self, workers: Workers, places: list[Place], made: Callable[[StudyRun], object]) -> None:
+        known = self._memory.runs
+        left = [place for place in places if place.index not in known]
+        # Each part of a leg begins the call anew: no more of them than keep everybody busy.
+        lots = legs(left, max(1, -(-len(places) // self._slots)))
+        task = {"fault": self._fault, "seed": self._seed, "clock": self._memory.clock}
+        for answer in workers.work([Task.model_validate({**task, "leg": tuple(lot)}) for lot in lots]):
+            if answer.run is not None:
+                self._memory.add(answer.run)
+                made(answer.run)

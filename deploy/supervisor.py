@@ -14,15 +14,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from deploy.forkserver import EXIT_BUG, Exited, ForkServer
+from deploy.forkserver import Exited, ForkServer
+from deploy.mould import EXIT_BUG, EXIT_KEEPER
 from deploy.stack import Process
 from services.bus.node import NodeSetup
 from services.bus.outcome import KernelUse, NodeReport, NodeResult
+from services.bus.process_stat import main_thread_stat
 from services.bus.session import Meeting
-from services.bus.topics import published_by
 from services.bus.vitals import Vitals
 
-CLOCK_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+STOP_S = 5.0
+"""Longest wait for what was killed to be gone."""
 
 
 class InfrastructureError(Exception):
@@ -64,10 +66,6 @@ class Member:
         lines = self.log.read_text(errors="replace").strip().splitlines() if self.log.exists() else []
         return lines[-1] if lines else "no output"
 
-    def published(self) -> list[int]:
-        """Messages published, by the order of the node's topics."""
-        return [int(n) for n in self.vitals.page["published"][: len(published_by(self.process.name))]]
-
     def report(self, result: NodeResult) -> NodeReport:
         """The node's part in the flight."""
         page = self.vitals.page
@@ -80,10 +78,11 @@ class Member:
             steps=int(page["steps"]),
             dropped=int(page["dropped"]),
             late=int(page["late"]),
-            malformed=int(page["malformed"]),
-            outdated=int(page["outdated"]),
+            malformed=int(page["malformed"] + page["unreadable"]),
+            outdated=int(page["outdated"] + page["doubled"]),
             alarms=int(page["alarms"]),
             recomputed=int(page["recomputed"]),
+            ungated=int(page["ungated"]),
             compute_s=int(page["compute_wall_ns"]) / 1e9,
             messaging_s=int(page["messaging_wall_ns"]) / 1e9,
             waiting_s=int(page["waiting_wall_ns"]) / 1e9,
@@ -118,10 +117,10 @@ class Supervisor:
             self.members[process.name] = member
         descriptor = os.open(member.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
         try:
-            member.pid = self._server.spawn(setup, self._meeting, member.vitals, descriptor, self._tracer_pid)
+            forked = self._server.spawn(setup, self._meeting, member.vitals, descriptor, self._tracer_pid)
         finally:
             os.close(descriptor)
-        member.pidfd = os.pidfd_open(member.pid)
+        member.pid, member.pidfd = forked.pid, forked.pidfd
         member.life = setup.life
         member.alive = True
         if process.with_fault:
@@ -137,6 +136,9 @@ class Supervisor:
             if member is None or not member.alive:
                 continue
             member.buried()
+            if exited.status == EXIT_KEEPER:
+                message = f"the courier of {member.process.name} failed: {member.log_tail}"
+                raise InfrastructureError(message)
             if exited.status != 0:
                 self._count(member, exited.status)
             ended.append((member, exited))
@@ -165,7 +167,7 @@ class Supervisor:
                 member.watched_step = (-1, -1)
                 continue
             step = (member.life, int(page["steps"]))
-            used_s = thread_cpu_s(member.pid)
+            used_s = thread_cpu_s(int(page["program"]) or member.pid)
             if step != member.watched_step:
                 member.watched_step, member.cpu_at_step_s = step, used_s
             elif used_s - member.cpu_at_step_s > self._hang_cpu_s:
@@ -194,7 +196,10 @@ class Supervisor:
 
     def close(self) -> None:
         """Kill what is left and free the pages."""
-        self.end(0.0, lambda: time.sleep(0.001))
+        for member in self.members.values():
+            if member.alive:
+                self._server.discard(member.pid)
+        self.end(STOP_S, lambda: time.sleep(0.001))
         for member in self.members.values():
             member.vitals.close()
 
@@ -202,8 +207,6 @@ class Supervisor:
 def thread_cpu_s(pid: int) -> float:
     """User and system time of a process's main thread, 0 if it is gone."""
     try:
-        stat = Path(f"/proc/{pid}/task/{pid}/stat").read_text()
-    except (FileNotFoundError, ProcessLookupError):
+        return main_thread_stat(pid).cpu_s
+    except OSError:
         return 0.0
-    fields = stat.rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / CLOCK_TICKS_PER_S

@@ -13,12 +13,13 @@ from deploy.mission import Flight, fly
 from deploy.pairing import compare, draw_call
 from detector.series import Checks, Series
 from detector.watched import WATCHED
-from services.bus.arrays import POINT_FIELDS, Floats, plan, state, verdict
+from services.bus.arrays import Floats, plan, state, verdict
 from services.bus.horizon import Stamped
 from services.bus.messages import MalformedMessageError, decode
 from services.bus.mission import MissionSpec
+from services.bus.shown import shown_command, shown_trajectory, shown_verdict
 from services.bus.topics import TICK_NS, TOPICS
-from services.control.follower import Follower, waypoints
+from services.control.follower import Follower
 
 
 def record(spec: MissionSpec, server: ForkServer) -> Series:
@@ -62,24 +63,15 @@ def series(spec: MissionSpec, flight: Flight) -> Series:
 
 
 def _perception(found: Sequence[Stamped]) -> Checks:
-    messages = [_read("collision_check", one) for one in found]
-    values = np.array(
-        [(one.time_to_collision, one.future_collision_seq) for one in messages], dtype=np.float64
-    )
-    return Checks(values.reshape(-1, len(WATCHED["perception"])), np.arange(len(found)), _times(found))
+    rows = [shown_verdict(_read("collision_check", one)) for one in found]
+    return Checks(_joined("perception", rows), np.arange(len(found)), _times(found))
 
 
 def _planning(made: Sequence[Stamped]) -> Checks:
     """Rows as they were published: what a fault did to them, too, though the others may refuse it."""
-    rows = []
-    for one in made:
-        message = _read("trajectory", one)
-        points = message.points.reshape(-1, POINT_FIELDS)[:, :11]
-        counts = (float(message.trajectory_seq), float(message.future_collision_seq))
-        rows.append(np.hstack((points, np.tile(counts, (len(points), 1)))))
+    rows = [shown_trajectory(_read("trajectory", one)) for one in made]
     lengths = np.array([len(one) for one in rows], dtype=np.int64)
-    values = np.concatenate([np.empty((0, len(WATCHED["planning"]))), *rows])
-    return Checks(values, np.cumsum(lengths) - lengths, _times(made))
+    return Checks(_joined("planning", rows), np.cumsum(lengths) - lengths, _times(made))
 
 
 def _control(messages: Mapping[str, Sequence[Stamped]]) -> Checks:
@@ -88,7 +80,6 @@ def _control(messages: Mapping[str, Sequence[Stamped]]) -> Checks:
     checks, plans = iter(messages["collision_check"]), iter(messages["trajectory"])
     check, made = next(checks, None), next(plans, None)
     odometry = {one.ready_ns: one for one in messages["odometry"]}
-    curves, followed = 0, None
     for sent in messages["command"]:
         command = _read("command", sent)
         tick = sent.ready_ns // TICK_NS * TICK_NS
@@ -101,15 +92,14 @@ def _control(messages: Mapping[str, Sequence[Stamped]]) -> Checks:
                 follower.take_trajectory(*plan(_read("trajectory", made))[:3])
             made = next(plans, None)
         here = state(_read("odometry", odometry[tick]))
-        curve = follower.curve(tick / 1e9, here.position, here.velocity, here.yaw)
-        curves += curve is not followed
-        followed = curve
-        linear, turn = command.twist.linear, command.twist.angular.z
-        flown = np.tile((linear.x, linear.y, linear.z, turn), (2, 1))
-        rows.append(np.hstack((np.full((2, 1), float(curves)), waypoints(curve, tick / 1e9), flown)))
+        follower.curve(tick / 1e9, here.position, here.velocity, here.yaw)
+        rows.append(shown_command(command, follower.curves, follower.tracked(tick / 1e9)))
         times.append(tick / 1e9)
-    values = np.concatenate(rows) if rows else np.empty((0, len(WATCHED["control"])))
-    return Checks(values, 2 * np.arange(len(rows)), np.array(times))
+    return Checks(_joined("control", rows), 2 * np.arange(len(rows)), np.array(times))
+
+
+def _joined(stage: str, rows: Sequence[Floats]) -> Floats:
+    return np.concatenate([np.empty((0, len(WATCHED[stage]))), *rows])
 
 
 def _times(messages: Sequence[Stamped]) -> Floats:

@@ -1,0 +1,126 @@
+"""Private folders of stacks that are up: lock, control socket, bus. Where their logs are.
+
+A stack's folder has a fixed name, so that every ``zenfi`` command finds it. It belongs to who holds the
+lock, which the kernel frees whatever its holder dies of.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import shutil
+import stat
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from deploy.compose.stack_file import NAME, Stack
+from deploy.scratch import SOCKET_PATH_LIMIT
+
+CONTROL = "control.sock"
+_LOCK = "lock"
+_LONGEST_NAME = len("/" + 31 * "n" + ".sock.lock")
+
+
+class StackError(ValueError):
+    """What was asked of a stack cannot be: one line that says why."""
+
+
+class UnsafeFolderError(StackError):
+    """A folder in which we would not be alone, or that cannot hold sockets."""
+
+
+class TakenError(StackError):
+    """The stack is up already."""
+
+
+def stacks_folder() -> Path:
+    """Where this user's stacks are: ``$XDG_RUNTIME_DIR/zenfi``, or in the folder for temporary files."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    if runtime and Path(runtime).is_dir():
+        return Path(runtime) / "zenfi"
+    return Path(tempfile.gettempdir()) / f"zenfi-stacks-{os.getuid()}"
+
+
+def stack_folder(name: str) -> Path:
+    """The private folder of the stack of that name.
+
+    :raises StackError: if it cannot be a stack's name.
+    """
+    if not re.fullmatch(NAME, name):
+        message = f"{name!r} is no stack's name: lower-case letters, digits, - and _, at most 31"
+        raise StackError(message)
+    return stacks_folder() / name
+
+
+def logs_folder(stack: Stack) -> Path:
+    """Where a stack's logs are: where its file says, or in the user's folder for state."""
+    if stack.logs:
+        return Path(stack.logs)
+    state = os.environ.get("XDG_STATE_HOME")
+    return (Path(state) if state else Path.home() / ".local" / "state") / "zenfi" / stack.name
+
+
+def log_file(logs: Path, name: str) -> Path:
+    """The log of a process, or of the supervisor."""
+    return logs / f"{name}.log"
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """The stack's folder, made if need be and ours alone; emptied on entering, removed on leaving.
+
+    :raises TakenError: if a living supervisor holds it.
+    :raises UnsafeFolderError: if others could enter it, or its path is too long for sockets.
+    """
+    if len(str(folder)) + _LONGEST_NAME > SOCKET_PATH_LIMIT:
+        message = f"{folder} is too long a path for sockets; set XDG_RUNTIME_DIR or TMPDIR to a shorter one"
+        raise UnsafeFolderError(message)
+    for one in (folder.parent, folder):
+        _make_private(one)
+    lock = _lock(folder)
+    try:
+        for left in folder.iterdir():
+            if left.name != _LOCK:
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
+        yield
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        os.close(lock)
+
+
+def _make_private(folder: Path) -> None:
+    folder.mkdir(mode=0o700, exist_ok=True)
+    check_private(folder)
+
+
+def check_private(folder: Path) -> None:
+    """Refuse a folder that somebody else may have put there.
+
+    :raises UnsafeFolderError: naming it.
+    :raises FileNotFoundError: if there is none.
+    """
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        message = f"{folder} is not a folder of yours alone (mode 0700): remove it"
+        raise UnsafeFolderError(message)
+
+
+def _lock(folder: Path) -> int:
+    while True:
+        _make_private(folder)
+        lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Its last holder may have removed the folder between our opening and our locking.
+            if os.fstat(lock).st_ino == (folder / _LOCK).stat().st_ino:
+                return lock
+        except BlockingIOError as error:
+            os.close(lock)
+            message = f"stack {folder.name} is up already"
+            raise TakenError(message) from error
+        except FileNotFoundError:
+            pass
+        os.close(lock)
