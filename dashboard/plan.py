@@ -11,8 +11,10 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sim.world import SAFETY_RADIUS_M, World
+from services.bus.safety import BODY_RADIUS_M
+from sim.world import World
 
 PIXELS_PER_M = 8
 MARGIN_M = 2.0
@@ -59,7 +61,7 @@ def shapes(world: World) -> list[Shape]:
         for y in np.arange(south, north + 0.1, CELL_M).tolist()
     ]
     ends = ((world.start, _START), (world.goal, _GOAL))
-    drawn += [Disc(float(end[0]), float(end[1]), SAFETY_RADIUS_M, _HALO) for end, _ in ends]
+    drawn += [Disc(float(end[0]), float(end[1]), BODY_RADIUS_M, _HALO) for end, _ in ends]
     ceiling = float(world.bounds[1, 2])
     for x0, y0, _, x1, y1, top in world.obstacles.tolist():
         drawn.append(Rectangle(x0, y0, x1, y1, _shade(top / ceiling)))
@@ -73,16 +75,25 @@ def _shade(height: float) -> int:
     return level << 16 | (level + 6) << 8 | (level + 12)
 
 
+def view_box(world: World) -> tuple[float, float, float, float]:
+    """Left, top, width and height of the plan in its SVG, m; y grows downwards there."""
+    (left, south), (right, north) = world.bounds[:, :2].tolist()
+    return left - MARGIN_M, -north - MARGIN_M, right - left + 2 * MARGIN_M, north - south + 2 * MARGIN_M
+
+
 def svg(world: World) -> str:
     """The plan as an SVG document, metres as user units."""
-    (left, south), (right, north) = world.bounds[:, :2].tolist()
-    width, height = right - left + 2 * MARGIN_M, north - south + 2 * MARGIN_M
-    view = f"{left - MARGIN_M:g} {-north - MARGIN_M:g} {width:g} {height:g}"
+    left, top, width, height = view_box(world)
+    view = f"{left:g} {top:g} {width:g} {height:g}"
     size = f'width="{width * PIXELS_PER_M:g}" height="{height * PIXELS_PER_M:g}"'
-    lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{view}" {size}>',
-        f"<title>{world.name}, seed {world.seed}</title>",
-    ]
+    opening = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{view}" {size}>'
+    title = f"<title>{world.name}, seed {world.seed}</title>"
+    return "\n".join([opening, title, *svg_elements(world), "</svg>", ""])
+
+
+def svg_elements(world: World) -> list[str]:
+    """The shapes of the plan as SVG elements, from the ground up."""
+    lines = []
     for shape in shapes(world):
         fill = f'fill="#{shape.colour:06x}"'
         if isinstance(shape, Rectangle):
@@ -90,7 +101,7 @@ def svg(world: World) -> str:
             lines.append(f'<rect x="{shape.x0:.3f}" y="{-shape.y1:.3f}" {size} {fill}/>')
         else:
             lines.append(f'<circle cx="{shape.x:.3f}" cy="{-shape.y:.3f}" r="{shape.radius:g}" {fill}/>')
-    return "\n".join([*lines, "</svg>", ""])
+    return lines
 
 
 def png(world: World) -> bytes:
@@ -107,10 +118,16 @@ def png(world: World) -> bytes:
         else:
             inside = (x - shape.x) ** 2 + (y - shape.y) ** 2 <= shape.radius**2
         image[inside] = shape.colour
-    rgb = np.stack([image >> 16, image >> 8, image], axis=-1).astype(np.uint8).reshape(height, -1)
+    rgb = np.stack([image >> 16, image >> 8, image], axis=-1).astype(np.uint8)
+    return encode_png(rgb)
+
+
+def encode_png(image: NDArray[np.uint8]) -> bytes:
+    """``image`` (height, width, 3 or 4), RGB or with opacity, as a PNG file."""
+    height, width, channels = image.shape
     # Each row begins with its filter: none.
-    rows = np.hstack([np.zeros((height, 1), np.uint8), rgb]).tobytes()
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    rows = np.hstack([np.zeros((height, 1), np.uint8), image.reshape(height, -1)]).tobytes()
+    header = struct.pack(">IIBBBBB", width, height, 8, 2 if channels == 3 else 6, 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows, 9)), (b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

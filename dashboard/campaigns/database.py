@@ -1,104 +1,107 @@
-"""The SQLite file of the store: opened in WAL mode, brought up to date, kept within its quota."""
+"""What the store asks of a database: connections, transactions, one lock a campaign, a quota."""
 
 from __future__ import annotations
 
-import fcntl
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
-from pathlib import Path
-from typing import Any
 
 import sqlalchemy as sa
 
 from deploy.check import BadSpecError
 
-REVISION = "0001"
+REVISION = "0003"
 """The newest step in ``migrations/versions``."""
 
-PAGE_BYTES = 4096
-PRAGMAS = (
-    "journal_mode=WAL",
-    # A crash of the machine may take the last results with it; they are flown again.
-    "synchronous=NORMAL",
-    "foreign_keys=ON",
-    "busy_timeout=30000",
-)
-_FULL = ("database or disk is full", "disk I/O error")
+
+class StoreError(Exception):
+    """The database cannot take another result; what was written before stands."""
 
 
-class StoreFullError(Exception):
-    """There is no room for another result; what was written before stands."""
+class StoreFullError(StoreError):
+    """There is no room for another result."""
 
 
-class Database:
-    """Connections to one file.
+class StoreLostError(StoreError):
+    """The database is out of reach, and with it the lock of who was writing."""
 
-    :raises BadSpecError: if it is no store, or one of a newer zenfi.
-    """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._max_pages = 0
-        self._engine = sa.create_engine(f"sqlite:///{path}")
-        sa.event.listen(self._engine, "connect", self._configure)
-        try:
-            self._upgrade()
-        except sa.exc.DBAPIError as error:
-            message = f"store {path}: {error.orig}"
-            raise BadSpecError(message) from error
+class Database(ABC):
+    """Connections to one database. ``place`` is what people call it: never with a password."""
+
+    def __init__(self, engine: sa.Engine, place: str) -> None:
+        self.place = place
+        self.engine = engine
 
     def close(self) -> None:
         """Close every connection."""
-        self._engine.dispose()
-
-    def reading(self) -> AbstractContextManager[sa.Connection]:
-        """A connection that only reads."""
-        return self._engine.connect()
+        self.engine.dispose()
 
     @contextmanager
-    def writing(self) -> Iterator[sa.Connection]:
-        """A transaction.
+    def reading(self) -> Iterator[sa.Connection]:
+        """A connection that only reads.
 
-        :raises StoreFullError: if the disk or the quota is full; nothing of it is written then.
+        :raises StoreLostError: if there is none.
         """
-        try:
-            with self._engine.begin() as connection:
-                yield connection
-        except sa.exc.OperationalError as error:
-            if not any(words in str(error.orig) for words in _FULL):
-                raise
-            message = f"{self._path}: {error.orig}"
-            raise StoreFullError(message) from error
+        with self._told(), self.engine.connect() as connection:
+            yield connection
 
+    @contextmanager
+    def writing(self, campaign: int | None = None) -> Iterator[sa.Connection]:
+        """A transaction; of the one that flies ``campaign``, it stands and falls with its lock.
+
+        :raises StoreError: if nothing can be written; nothing of it is written then.
+        """
+        with self._told(), self._transaction(campaign) as connection:
+            yield connection
+
+    @abstractmethod
     def limit(self, disk_mb: int) -> None:
-        """Let the file grow to ``disk_mb`` and no further."""
-        self._max_pages = disk_mb * 1_000_000 // PAGE_BYTES
-        self._engine.dispose()  # the limit is each connection's own
+        """Let the database grow to ``disk_mb`` and no further."""
 
-    def _configure(self, connection: Any, _: object) -> None:
-        for pragma in PRAGMAS:
-            connection.execute(f"PRAGMA {pragma}")
-        if self._max_pages:
-            connection.execute(f"PRAGMA max_page_count={self._max_pages}")
+    @abstractmethod
+    def lock(self, campaign: int) -> AbstractContextManager[bool]:
+        """Hold a campaign's lock, if it was free; freed when this process ends, however it ends."""
 
-    def _upgrade(self) -> None:
-        # Two processes may meet at a store that is not made yet.
-        with self._path.with_suffix(".lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            with self._engine.connect() as connection:
-                found = None
-                if sa.inspect(connection).has_table("alembic_version"):
-                    found = connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar()
-                if found is not None and found > REVISION:
-                    message = f"store {self._path}: written by a newer zenfi (form {found})"
-                    raise BadSpecError(message)
-                if found != REVISION:
-                    connection.rollback()
-                    migrate(connection)
+    @abstractmethod
+    def _transaction(self, campaign: int | None) -> AbstractContextManager[sa.Connection]: ...
+
+    @abstractmethod
+    def _meaning(self, error: sa.exc.DBAPIError) -> StoreError | None:
+        """What an error of the driver means to the store, if anything."""
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except sa.exc.DBAPIError as error:
+            meaning = self._meaning(error)
+            if meaning is None:
+                raise
+            raise meaning from error
+        except ConnectionError as error:  # a driver may pass on what the socket said
+            message = f"{self.place}: {error.strerror or error}"
+            raise StoreLostError(message) from error
+
+    def upgrade(self) -> None:
+        """Bring the tables to the newest form; nobody else may do so meanwhile.
+
+        :raises BadSpecError: if they are of a newer zenfi.
+        """
+        with self.engine.connect() as connection:
+            found = None
+            if sa.inspect(connection).has_table("alembic_version"):
+                found = connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar()
+            if found is not None and found > REVISION:
+                message = f"store {self.place}: written by a newer zenfi (form {found})"
+                raise BadSpecError(message)
+            if found != REVISION:
+                connection.rollback()
+                migrate(connection)
 
 
-def migrate(connection: sa.Connection) -> None:
-    """Bring the tables to the newest form."""
+def migrate(connection: sa.Connection, revision: str = "head") -> None:
+    """Bring the tables to a form, by default the newest."""
     # Slow to import, and needed once in a store's life.
     from alembic import command  # noqa: PLC0415
     from alembic.config import Config  # noqa: PLC0415
@@ -107,5 +110,5 @@ def migrate(connection: sa.Connection) -> None:
     config.set_main_option("script_location", "dashboard.campaigns:migrations")
     config.set_main_option("path_separator", "os")
     config.attributes["connection"] = connection
-    command.upgrade(config, "head")
+    command.upgrade(config, revision)
     connection.commit()

@@ -1,16 +1,20 @@
-"""A campaign as a table with a row per run, for other programs: CSV or Parquet."""
+"""A campaign as a table with a row per run, or per cell, for other programs: CSV or Parquet."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 from dashboard.campaigns.records import Record, Result
 from dashboard.campaigns.spec import Cell
+from dashboard.campaigns.summary import CellSummary
 from deploy.check import BadSpecError
+from services.bus.outcome import NodeResult
+
+Columns = Mapping[str, type]
 
 _RUN: dict[str, type] = {
     **dict.fromkeys(Cell._fields, str),
@@ -43,18 +47,46 @@ def rows(records: Iterable[Record]) -> Iterable[dict[str, object]]:
         yield row | {name: getattr(record.result, name, None) for name in _RESULT}
 
 
+SUMMARY: dict[str, type] = {
+    **{
+        name: _plain(field.annotation)
+        for name, field in CellSummary.model_fields.items()
+        if name != "results"
+    },
+    **dict.fromkeys(get_args(NodeResult), int),
+}
+"""The same of the table of cells; what became of nodes is counted in a column each."""
+
+
 def write(records: Iterable[Record], path: Path) -> None:
-    """Write a table as its file's ending says; the file is there whole or not at all.
+    """Write a table of runs as its file's ending says; the file is there whole or not at all.
 
     :raises BadSpecError: if the ending says nothing, or the file cannot be written.
     """
+    _write(COLUMNS, rows(records), path)
+
+
+def write_summary(lines: Iterable[CellSummary], path: Path) -> None:
+    """Write a table of cells likewise.
+
+    :raises BadSpecError: as above.
+    """
+    _write(SUMMARY, (_cell(line) for line in lines), path)
+
+
+def _cell(line: CellSummary) -> dict[str, object]:
+    counts = {name: line.results.get(name, 0) for name in get_args(NodeResult)}
+    return line.model_dump(exclude={"results"}) | counts
+
+
+def _write(columns: Columns, table: Iterable[dict[str, object]], path: Path) -> None:
     writers = {".csv": _csv, ".parquet": _parquet}
     if path.suffix not in writers:
         message = f"{path}: the ending says what to write: {' or '.join(writers)}"
         raise BadSpecError(message)
     draft = path.with_name(f".{path.name}.part")
     try:
-        writers[path.suffix](records, draft)
+        writers[path.suffix](columns, table, draft)
         draft.replace(path)
     except OSError as error:
         message = f"{path}: {error.strerror}"
@@ -63,14 +95,14 @@ def write(records: Iterable[Record], path: Path) -> None:
         draft.unlink(missing_ok=True)
 
 
-def _csv(records: Iterable[Record], path: Path) -> None:
+def _csv(columns: Columns, table: Iterable[dict[str, object]], path: Path) -> None:
     with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS)
+        writer = csv.DictWriter(file, columns)
         writer.writeheader()
-        writer.writerows(rows(records))
+        writer.writerows(table)
 
 
-def _parquet(records: Iterable[Record], path: Path) -> None:
+def _parquet(columns: Columns, table: Iterable[dict[str, object]], path: Path) -> None:
     try:
         import pyarrow as pa  # noqa: PLC0415 - 50 MB that only this needs
         from pyarrow import parquet  # noqa: PLC0415
@@ -78,5 +110,5 @@ def _parquet(records: Iterable[Record], path: Path) -> None:
         message = "Parquet needs pyarrow: pip install 'zenfi[parquet]', or write .csv"
         raise BadSpecError(message) from error
     types = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
-    schema = pa.schema([(name, types[kind]) for name, kind in COLUMNS.items()])
-    parquet.write_table(pa.Table.from_pylist(list(rows(records)), schema=schema), path)
+    schema = pa.schema([(name, types[kind]) for name, kind in columns.items()])
+    parquet.write_table(pa.Table.from_pylist(list(table), schema=schema), path)

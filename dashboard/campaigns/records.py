@@ -70,3 +70,4 @@ class Record:
     attempts: int
     error: str
     result: Result | None
+    id: int

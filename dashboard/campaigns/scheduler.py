@@ -10,10 +10,13 @@ from contextlib import closing
 from dataclasses import dataclass
 
 from dashboard.campaigns.events import Begin, Cancel, Event, Flown, Leased, NotNeeded, Passed, Pause
-from dashboard.campaigns.local import LocalExecutor, Report, Task
+from dashboard.campaigns.executors.executor import Executor, Report, Task
+from dashboard.campaigns.executors.local import LocalExecutor
 from dashboard.campaigns.spec import CampaignLimits, Run
 from dashboard.campaigns.states import CampaignStates, RunState
 from dashboard.campaigns.stopping import StoppingRule
+from deploy.present import Present
+from deploy.sight import Sight
 from services.bus.outcome import Outcome
 
 POLL_S = 0.25
@@ -27,6 +30,7 @@ Write = Callable[[CampaignStates, Sequence[int], Mapping[int, Outcome]], None]
 class Finished:
     """A run with its outcome, or with the line that says why we failed to fly it."""
 
+    id: int
     run: Run
     outcome: Outcome | None
     error: str = ""
@@ -36,19 +40,20 @@ class Scheduler:
     """Flies what is open of a campaign.
 
     ``write`` keeps changed states and outcomes; what it has not kept is flown again. ``wished`` tells
-    what another process asks for.
+    what another process asks for, ``watch`` is told how flights stand.
     """
 
     def __init__(
         self,
         states: CampaignStates,
         planned: Mapping[int, Run],
-        executor: LocalExecutor,
+        executor: Executor,
         rule: StoppingRule,
         lease_s: float,
         write: Write,
         wished: Callable[[], str] = lambda: "",
     ) -> None:
+        self.watch: Callable[[int, Present, Sight | None], None] = lambda _run, _present, _sight: None
         self.states = states
         self._planned = planned
         self._executor = executor
@@ -58,6 +63,7 @@ class Scheduler:
         self._wished = wished
         self._queue: deque[list[int]] = deque()
         self._serial = itertools.count()
+        self._asked = ""
 
     def fly(self) -> Iterator[Finished]:
         """Every run that ends, as it ends."""
@@ -68,13 +74,24 @@ class Scheduler:
             yield from self._take_in(self._executor.poll(POLL_S))
             if self.states.phase == "running" and not self._queue and not self._executor.leases:
                 self._look()
-            if self._wished() == "cancel" and self.states.phase == "running":
-                self._keep(self.states.handle(Cancel()), {})
+            if self._asked:
+                self.pause(self._asked)
+            self._obey(self._wished())
+
+    def stop(self, reason: str) -> None:
+        """Have :meth:`fly` pause the campaign and end, within :data:`POLL_S`; from any thread."""
+        self._asked = reason
 
     def pause(self, reason: str) -> None:
-        """Leave the campaign so that it can be resumed."""
+        """Leave the campaign so that it can be resumed; from the thread that flies it."""
         if self.states.phase == "running":
             self._keep(self.states.handle(Pause(reason)), {})
+
+    def _obey(self, wish: str) -> None:
+        if wish == "cancel" and self.states.phase == "running":
+            self._keep(self.states.handle(Cancel()), {})
+        elif wish == "pause":
+            self.pause("paused")
 
     def _keep(self, changed: Sequence[int], outcomes: Mapping[int, Outcome]) -> None:
         self._write(self.states, changed, outcomes)
@@ -92,26 +109,36 @@ class Scheduler:
             if self.states.runs[index].phase == "queued" and run.index < self._rule.released:
                 twins.setdefault(run.twin.model_dump_json(), []).append(index)
         count = sum(map(len, twins.values()))
-        size = max(1, min(GROUP, count // (2 * self._executor.slots)))
+        size = max(1, min(GROUP, count // (2 * max(1, self._executor.slots))))
         for runs in twins.values():
             self._queue.extend(runs[first : first + size] for first in range(0, len(runs), size))
 
     def _hand_out(self) -> None:
         changed: list[int] = []
         while self._queue and self._executor.idle:
-            group = self._queue.popleft()
+            group = self._next_group()
             lease = str(next(self._serial))
             until_s = time.monotonic() + self._lease_s
             changed += self.states.handle(Leased(lease, tuple(group), until_s))
-            begun = self._executor.submit(Task(lease, [(run, self._planned[run].spec) for run in group]))
-            changed += self.states.handle(begun.event)
+            task = Task(lease, [(run, self._planned[run].spec) for run in group])
+            for begun in self._executor.submit(task):
+                changed += self.states.handle(begun.event)
         if changed:
             self._keep(changed, {})
+
+    def _next_group(self) -> list[int]:
+        """Runs to lease together: of one golden twin, and of more up to what the executor wants."""
+        group = self._queue.popleft()
+        while self._queue and len(group) + len(self._queue[0]) <= self._executor.fill:
+            group += self._queue.popleft()
+        return group
 
     def _take_in(self, reports: Iterable[Report]) -> list[Finished]:
         changed: list[int] = []
         outcomes: dict[int, Outcome] = {}
         for report in reports:
+            if report.flight is not None:
+                self.watch(*report.flight)
             moved = self._handle(report.event)
             changed += moved
             if isinstance(report.event, Flown) and moved and report.outcome is not None:
@@ -137,7 +164,7 @@ class Scheduler:
         run = self._planned[index]
         if outcome is not None:
             self._rule.add(run.cell, run.index, success=outcome.qof.success)
-        return Finished(run, outcome, self.states.runs[index].error)
+        return Finished(index, run, outcome, self.states.runs[index].error)
 
 
 def fly_all(runs: Iterable[Run], slots: int | None = None) -> Iterator[Finished]:

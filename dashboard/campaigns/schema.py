@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sqlalchemy import CheckConstraint, ForeignKey, Index, MetaData, Text, UniqueConstraint
+from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, MetaData, Text, UniqueConstraint
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 _RUN_PHASES = "phase IN ('queued', 'leased', 'running', 'done', 'failed', 'cancelled')"
@@ -24,10 +24,13 @@ class Base(DeclarativeBase):
 
 
 class CampaignRow(Base):
-    """A campaign; ``wish`` is what another process asks of the one that flies it."""
+    """A campaign; ``wish`` is what is asked of whoever flies it, ``request`` the key of what created it.
+
+    One that was ``deleted`` (when) is shown to nobody. Its row stays, so that no other gets its number.
+    """
 
     __tablename__ = "campaigns"
-    __table_args__ = (CheckConstraint(_CAMPAIGN_PHASES, name="phase"),)
+    __table_args__ = (CheckConstraint(_CAMPAIGN_PHASES, name="phase"), Index(None, "request", unique=True))
 
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str]
@@ -36,6 +39,8 @@ class CampaignRow(Base):
     reason: Mapped[str] = mapped_column(default="")
     wish: Mapped[str] = mapped_column(default="")
     created: Mapped[str]
+    deleted: Mapped[str] = mapped_column(default="", server_default="")
+    request: Mapped[str | None]
 
 
 class RunRow(Base):
@@ -46,6 +51,7 @@ class RunRow(Base):
         CheckConstraint(_RUN_PHASES, name="phase"),
         UniqueConstraint("campaign_id", "arm", "world", "fault", "number"),
         Index(None, "campaign_id", "phase"),
+        Index(None, "campaign_id", "id"),
     )
 
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -54,7 +60,7 @@ class RunRow(Base):
     world: Mapped[str]
     fault: Mapped[str]
     number: Mapped[int]
-    seed: Mapped[int]
+    seed: Mapped[int] = mapped_column(BigInteger)
     spec: Mapped[str] = mapped_column(Text)
     phase: Mapped[str]
     attempts: Mapped[int]
@@ -87,3 +93,5 @@ class ResultRow(Base):
     digest: Mapped[str]
     wall_s: Mapped[float]
     outcome: Mapped[str] = mapped_column(Text)
+    artefact: Mapped[str] = mapped_column(default="", server_default="")
+    artefact_bytes: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")

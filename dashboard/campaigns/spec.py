@@ -8,10 +8,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
+from dashboard.campaigns.executors.spec import ExecutorSpec, LocalSpec
 from deploy.check import BadSpecError, check, one_line
 from deploy.definitions import inlined
 from services.bus.mission import FaultSpec, MissionSpec, World
@@ -62,6 +63,14 @@ class CampaignLimits(Strict):
     disk_mb: int = Field(default=10_000, ge=1, description="size of the store at which campaigns pause")
 
 
+class Recording(Strict):
+    """Whose files are kept: of no run, of those that failed, of all, or of a ``sample`` part of them."""
+
+    keep: Literal["none", "failures", "all", "sample"] = "none"
+    sample: float = Field(default=0.1, gt=0, le=1)
+    disk_mb: int = Field(default=1000, ge=1, description="for a campaign's files; what is beyond is dropped")
+
+
 class Cell(NamedTuple):
     """What the flights of one denominator have in common: the names of arm, world and fault."""
 
@@ -90,7 +99,9 @@ class CampaignSpec(Strict):
     faults: tuple[Condition, ...] = ()
     stop: Stop | None = None
     limits: CampaignLimits = CampaignLimits()
-    artefacts: str = Field(default="", description="folder for its files in the store's artefact folder")
+    executor: ExecutorSpec = LocalSpec()
+    recording: Recording = Recording()
+    artefacts: str = Field(default="", description="folder in the store's artefact folder, for its own")
 
     @field_validator("arms", "faults")
     @classmethod
@@ -221,14 +232,26 @@ def load_campaign(name: str) -> CampaignSpec:
     except ValidationError as error:
         message = f"{name}: {one_line(error)}"
         raise BadSpecError(message) from error
+    try:
+        check_campaign(campaign)
+    except BadSpecError as error:
+        message = f"{name}: {error}"
+        raise BadSpecError(message) from error
+    return campaign
+
+
+def check_campaign(campaign: CampaignSpec) -> None:
+    """Refuse what cannot be flown.
+
+    :raises BadSpecError: naming arm or fault, and what would be right.
+    """
     for arm, condition, mission in _flown(campaign):
         try:
             check(mission.model_copy(update={"fault": condition.fault}))
         except BadSpecError as error:
             where = f"faults: {condition.name}" if campaign.faults else f"arms: {arm.name}"
-            message = f"{name}: {where}: {error}"
+            message = f"{where}: {error}"
             raise BadSpecError(message) from error
-    return campaign
 
 
 def _parsed(text: str, path: Path) -> Any:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import statistics
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 from pydantic import Field
 
 from dashboard.campaigns.records import Record, Result
-from dashboard.campaigns.spec import Cell
-from dashboard.campaigns.statistics.proportions import wilson
+from dashboard.campaigns.spec import Cell, cells
+from dashboard.campaigns.statistics.proportions import median_interval, wilson
+from dashboard.campaigns.store import Campaign, Store
 from services.bus.model import Strict
 
 
@@ -27,13 +29,24 @@ class CellSummary(Strict):
     success_low: float
     success_high: float
     flight_time_s: float | None
+    flight_time_low_s: float | None = Field(description="of its 95 % interval; none with fewer than six")
+    flight_time_high_s: float | None
     distance_m: float | None
+    distance_low_m: float | None
+    distance_high_m: float | None
     energy_kj: float | None
+    energy_low_kj: float | None
+    energy_high_kj: float | None
     energy_per_success_kj: float | None = Field(description="of all flights, over the successes")
     replans: float | None
     aimed: int = Field(description="flown with a fault")
     injected: int = Field(description="of those, the fault was there when read back")
     results: dict[str, int] = Field(description="of the node aimed at, of the injected flights")
+
+
+def summary(store: Store, found: Campaign) -> list[CellSummary]:
+    """What a campaign has found so far."""
+    return summarise(cells(found.spec), store.records(found))
 
 
 def summarise(cells: Sequence[Cell], records: Iterable[Record]) -> list[CellSummary]:
@@ -58,9 +71,9 @@ def _summary(cell: Cell, records: Sequence[Record]) -> CellSummary:
         successes=len(arrived),
         success_low=low,
         success_high=high,
-        flight_time_s=_median([result.flight_time_s for result in arrived]),
-        distance_m=_median([result.distance_m for result in arrived]),
-        energy_kj=_median([result.energy_kj for result in arrived]),
+        **_median("flight_time", "s", [result.flight_time_s for result in arrived]),
+        **_median("distance", "m", [result.distance_m for result in arrived]),
+        **_median("energy", "kj", [result.energy_kj for result in arrived]),
         energy_per_success_kj=sum(one.energy_kj for one in flown) / len(arrived) if arrived else None,
         replans=statistics.mean([result.replans for result in arrived]) if arrived else None,
         aimed=sum(result.injection != "" for result in flown),
@@ -73,5 +86,11 @@ def _counted(injected: Sequence[Result]) -> dict[str, int]:
     return dict(sorted(Counter(result.node_result for result in injected).items()))
 
 
-def _median(values: Sequence[float]) -> float | None:
-    return statistics.median(values) if values else None
+def _median(name: str, unit: str, values: Sequence[float]) -> dict[str, Any]:
+    """The median and both ends of its interval, by the names of their fields."""
+    low, high = median_interval(values) or (None, None)
+    return {
+        f"{name}_{unit}": statistics.median(values) if values else None,
+        f"{name}_low_{unit}": low,
+        f"{name}_high_{unit}": high,
+    }

@@ -9,6 +9,12 @@ down_revision = None
 
 def upgrade() -> None:
     """Apply this step."""
+    _campaigns()
+    _runs()
+    _results()
+
+
+def _campaigns() -> None:
     op.create_table(
         "campaigns",
         sa.Column("id", sa.Integer(), nullable=False),
@@ -24,6 +30,9 @@ def upgrade() -> None:
         ),
         sa.PrimaryKeyConstraint("id", name=op.f("pk_campaigns")),
     )
+
+
+def _runs() -> None:
     op.create_table(
         "runs",
         sa.Column("id", sa.Integer(), nullable=False),
@@ -32,7 +41,7 @@ def upgrade() -> None:
         sa.Column("world", sa.String(), nullable=False),
         sa.Column("fault", sa.String(), nullable=False),
         sa.Column("number", sa.Integer(), nullable=False),
-        sa.Column("seed", sa.Integer(), nullable=False),
+        sa.Column("seed", sa.BigInteger(), nullable=False),
         sa.Column("spec", sa.Text(), nullable=False),
         sa.Column("phase", sa.String(), nullable=False),
         sa.Column("attempts", sa.Integer(), nullable=False),
@@ -55,6 +64,8 @@ def upgrade() -> None:
     )
     op.create_index("ix_runs_campaign_id_phase", "runs", ["campaign_id", "phase"])
 
+
+def _results() -> None:
     op.create_table(
         "results",
         sa.Column("run_id", sa.Integer(), autoincrement=False, nullable=False),

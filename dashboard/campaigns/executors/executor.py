@@ -1,0 +1,107 @@
+"""What flies the runs of a campaign: the interface of every executor, and what they have in common."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from dashboard.campaigns.events import Alive, Flown, Lost, NotFlown, Started
+from deploy.answer import Answer
+from deploy.present import Present
+from deploy.sight import Sight
+from deploy.supervisor import InfrastructureError
+from services.bus.mission import MissionSpec
+from services.bus.outcome import Outcome
+
+LOSSES_IN_A_ROW = 10
+"""Workers lost without a flight in between, after which the fault is not the flights'."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """Runs that one worker is to fly one after the other, by id."""
+
+    lease: str
+    runs: Sequence[tuple[int, MissionSpec]]
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a worker told, or what became of it; ``flight`` is how a run's flight
+    stands, and what it sees if it was looked at.
+    """
+
+    event: Started | Alive | Flown | NotFlown | Lost
+    outcome: Outcome | None = None
+    flight: tuple[int, Present, Sight | None] | None = None
+
+
+class Executor(Protocol):
+    """Flies tasks somewhere and reports; knows no campaign and no store."""
+
+    @property
+    def slots(self) -> int:
+        """Flights at a time, as of now."""
+
+    @property
+    def fill(self) -> int:
+        """Runs that a task should have, if they are not of one golden twin alone."""
+
+    @property
+    def leases(self) -> set[str]:
+        """What is being worked on."""
+
+    @property
+    def idle(self) -> int:
+        """How many tasks it can take."""
+
+    def submit(self, task: Task) -> list[Report]:
+        """Take a task; what it has begun at once.
+
+        :raises InfrastructureError: if it cannot, and will not.
+        """
+
+    def drop(self, lease: str) -> None:
+        """Stop what is flown under ``lease``; nothing is reported of it any more."""
+
+    def poll(self, timeout_s: float) -> list[Report]:
+        """What happened since the last call, waiting for the first for ``timeout_s``.
+
+        :raises InfrastructureError: if nothing more can be flown here.
+        :raises ValueError: if a worker tells what it should not.
+        """
+
+    def close(self) -> None:
+        """End everything that was started."""
+
+
+def reports(lease: str, run: int, answer: Answer, lease_s: float) -> list[Report]:
+    """What a worker's answer means."""
+    flight = (run, answer.present, answer.sight) if answer.present is not None else None
+    alive = Report(Alive(lease, time.monotonic() + lease_s), flight=flight)
+    if answer.outcome is not None:
+        return [alive, Report(Flown(lease, run), answer.outcome)]
+    return [alive, Report(NotFlown(lease, run, answer.error))] if answer.error else [alive]
+
+
+class Losses:
+    """Counts workers that die one after the other."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    def another(self) -> None:
+        """One more.
+
+        :raises InfrastructureError: if that were too many.
+        """
+        self._count += 1
+        if self._count >= LOSSES_IN_A_ROW:
+            message = f"{self._count} workers died one after the other: see zenfi doctor"
+            raise InfrastructureError(message)
+
+    def none(self) -> None:
+        """A flight in between."""
+        self._count = 0

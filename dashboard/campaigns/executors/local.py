@@ -1,0 +1,150 @@
+"""The local executor: as many worker processes as slots, each on a processor of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from dashboard.campaigns.events import Lost, Started
+from dashboard.campaigns.executors.executor import Losses, Report, Task, reports
+from deploy.answer import Answer
+from deploy.crew import Worker, WorkerDiedError, start_worker
+from deploy.order import Order
+from services.bus.mission import MissionSpec
+
+Ordering = Callable[[int, MissionSpec], Order]
+
+
+def unrecorded(_run: int, spec: MissionSpec) -> Order:
+    """A run that nobody wants a recording of."""
+    return Order(spec=spec)
+
+
+class _Slot:
+    """One worker process and what it has to do."""
+
+    def __init__(self, cpu: int, log: Path | None, order: Ordering) -> None:
+        self._cpu, self._log, self._order = cpu, log, order
+        self.lease = ""
+        self.todo: deque[tuple[int, MissionSpec]] = deque()
+        self.flying: int | None = None
+        self.worker = self._start()
+
+    def _start(self) -> Worker:
+        with contextlib.ExitStack() as stack:
+            log = stack.enter_context(self._log.open("ab")) if self._log is not None else None
+            file = log.fileno() if log is not None else None
+            return Worker(start_worker(self._cpu, file, watched=True))
+
+    def begin_next(self) -> int | None:
+        """Send the next run; its id, None if there is none."""
+        if not self.todo:
+            self.lease, self.flying = "", None
+            return None
+        self.flying, spec = self.todo.popleft()
+        self.worker.send(self._order(self.flying, spec).model_dump_json())
+        return self.flying
+
+    def restart(self) -> None:
+        """A new worker that knows nothing of the old one's runs."""
+        self.worker.end()
+        self.lease, self.flying = "", None
+        self.todo.clear()
+        self.worker = self._start()
+
+
+class LocalExecutor:
+    """Workers on this machine, ``slots`` of them (default: one per processor).
+
+    ``order`` makes of a run's id and specification what a worker is asked.
+    """
+
+    fill = 1
+
+    def __init__(
+        self,
+        slots: int | None,
+        lease_s: float,
+        logs: Path | None = None,
+        order: Ordering = unrecorded,
+    ) -> None:
+        cpus = sorted(os.sched_getaffinity(0))
+        self.slots = slots or len(cpus)
+        self._lease_s = lease_s
+        self._losses = Losses()
+        self._crew: list[_Slot] = []
+        self._selector = selectors.DefaultSelector()
+        for index in range(self.slots):
+            log = logs / f"worker-{index}.log" if logs is not None else None
+            self._crew.append(_Slot(cpus[index % len(cpus)], log, order))
+            self._selector.register(self._crew[-1].worker.output, selectors.EVENT_READ, self._crew[-1])
+
+    @property
+    def leases(self) -> set[str]:
+        """What is being worked on."""
+        return {slot.lease for slot in self._crew if slot.lease}
+
+    @property
+    def idle(self) -> int:
+        """Workers that wait for a task."""
+        return sum(not slot.lease for slot in self._crew)
+
+    def submit(self, task: Task) -> list[Report]:
+        """Give a task to an idle worker, which begins its first run."""
+        slot = next(slot for slot in self._crew if not slot.lease)
+        slot.lease, slot.todo = task.lease, deque(task.runs)
+        return self._begun(slot)
+
+    def drop(self, lease: str) -> None:
+        """End the worker that holds ``lease``; another takes its place."""
+        for slot in self._crew:
+            if slot.lease == lease:
+                self._replace(slot)
+
+    def poll(self, timeout_s: float) -> list[Report]:
+        """What workers have told since the last call, waiting for the first for ``timeout_s``."""
+        told: list[Report] = []
+        for key, _ in self._selector.select(timeout_s):
+            slot: _Slot = key.data
+            try:
+                lines = slot.worker.hear()
+            except WorkerDiedError as error:
+                told += self._lost(slot, str(error))
+                continue
+            for line in lines:
+                told += self._told(slot, Answer.model_validate_json(line))
+        return told
+
+    def close(self) -> None:
+        """End every worker."""
+        for slot in self._crew:
+            slot.worker.end()
+        self._selector.close()
+
+    def _told(self, slot: _Slot, answer: Answer) -> list[Report]:
+        if slot.flying is None:
+            return []
+        told = reports(slot.lease, slot.flying, answer, self._lease_s)
+        if answer.alive:
+            return told
+        self._losses.none()
+        return told + self._begun(slot)
+
+    def _begun(self, slot: _Slot) -> list[Report]:
+        lease, run = slot.lease, slot.begin_next()
+        return [Report(Started(lease, run))] if run is not None else []
+
+    def _lost(self, slot: _Slot, why: str) -> list[Report]:
+        lease = slot.lease
+        self._replace(slot)
+        self._losses.another()
+        return [Report(Lost(lease, why))] if lease else []
+
+    def _replace(self, slot: _Slot) -> None:
+        self._selector.unregister(slot.worker.output)
+        slot.restart()
+        self._selector.register(slot.worker.output, selectors.EVENT_READ, slot)
