@@ -1,0 +1,121 @@
+"""Errors as problem details (RFC 9457): what is wrong, in which field, and the remedy."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, Field, ValidationError
+from starlette.exceptions import HTTPException
+
+from dashboard.campaigns.database import StoreError, StoreFullError
+from dashboard.campaigns.steering import ConflictError
+from dashboard.campaigns.store import BusyError, RepeatedError, UnknownCampaignError
+from deploy.check import BadSpecError
+from deploy.compose.folder import StackError
+from deploy.supervisor import InfrastructureError
+
+MEDIA_TYPE = "application/problem+json"
+MOST_ERRORS = 20
+
+logger = logging.getLogger("zenfi.api")
+
+
+class FieldProblem(BaseModel):
+    """What is wrong with one field."""
+
+    field: str = Field(examples=["spec.runs"])
+    message: str = Field(examples=["Input should be greater than or equal to 1"])
+
+
+class Problem(BaseModel):
+    """A problem's details."""
+
+    type: str = "about:blank"
+    title: str = Field(examples=["Unprocessable Content"])
+    status: int = Field(examples=[422])
+    detail: str = Field(examples=["spec.runs: Input should be greater than or equal to 1"])
+    errors: list[FieldProblem] = []
+
+
+class NotFoundError(Exception):
+    """There is no such thing."""
+
+
+class NotReadyError(Exception):
+    """Not now."""
+
+
+_STATUS: dict[type[Exception], int] = {
+    NotFoundError: 404,
+    UnknownCampaignError: 404,
+    ConflictError: 409,
+    BusyError: 409,
+    RepeatedError: 422,
+    BadSpecError: 422,
+    NotReadyError: 503,
+    StoreError: 503,
+    StoreFullError: 507,
+    StackError: 500,
+    InfrastructureError: 500,
+}
+
+
+def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """The ``responses`` of a path that may answer with these problems."""
+    return {status: {"model": Problem, "description": HTTPStatus(status).phrase} for status in statuses}
+
+
+def answer(
+    status: int, detail: str, errors: Sequence[FieldProblem] = (), headers: Mapping[str, str] | None = None
+) -> JSONResponse:
+    """A response that tells a problem."""
+    title = HTTPStatus(status).phrase
+    problem = Problem(title=title, status=status, detail=detail, errors=list(errors))
+    return JSONResponse(problem.model_dump(), status, headers, MEDIA_TYPE)
+
+
+def install(app: FastAPI) -> None:
+    """Have ``app`` tell all its errors as problems."""
+    for kind, status in _STATUS.items():
+        app.add_exception_handler(kind, _telling(status))
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(ValidationError, _invalid)
+    app.add_exception_handler(HTTPException, _refused)
+    app.add_exception_handler(Exception, _failed)
+
+
+def _telling(status: int) -> Any:
+    def handle(_: Request, error: Exception) -> JSONResponse:
+        return answer(status, str(error))
+
+    return handle
+
+
+def _invalid(_: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, RequestValidationError | ValidationError)  # noqa: S101 - registered for these
+    told = [_field(one) for one in error.errors()]
+    return answer(422, f"{told[0].field}: {told[0].message}", told[:MOST_ERRORS])
+
+
+def _field(error: Any) -> FieldProblem:
+    # In which part of the request it is, and which form of a union, goes without saying.
+    parts = [str(part) for part in error["loc"] if part not in ("body", "query", "path", "definition")]
+    return FieldProblem(
+        field=".".join(parts) or "body", message=str(error["msg"]).removeprefix("Value error, ")
+    )
+
+
+def _refused(_: Request, error: Exception) -> JSONResponse:
+    assert isinstance(error, HTTPException)  # noqa: S101 - registered for these
+    return answer(error.status_code, str(error.detail), headers=error.headers)
+
+
+def _failed(request: Request, error: Exception) -> JSONResponse:
+    logger.error("%s %s failed", request.method, request.url.path, exc_info=error)
+    return answer(500, "we failed: the service's log says why")

@@ -1,0 +1,150 @@
+"""Who may ask: loopback by default, elsewhere who has the token; never a page of another origin."""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import ipaddress
+import os
+import secrets
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
+from starlette.responses import RedirectResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from dashboard.api.problems import answer
+from deploy.check import BadSpecError
+
+TOKEN_FILE = "token.sha256"  # noqa: S105 - a file's name
+OPEN = ("/health", "/ready", "/login", "/favicon.ico")
+"""Paths that need no token: they tell nothing."""
+
+COOKIE = "zenfi_token"
+"""How a browser bears the token, once it was given at ``/login``."""
+
+
+def new_token(folder: Path) -> str:
+    """Make the store's token, in place of an older one. Only its hash is kept, for the user alone.
+
+    A token has 256 random bits, so a plain hash cannot be guessed back.
+    """
+    token = secrets.token_urlsafe(32)
+    folder.mkdir(parents=True, exist_ok=True)
+    draft = folder / f".{TOKEN_FILE}.part"
+    descriptor = os.open(draft, os.O_CREAT | os.O_WRONLY | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    with open(descriptor, "w") as file:  # noqa: PTH123 - of a descriptor
+        os.fchmod(descriptor, 0o600)
+        file.write(_hash(token) + "\n")
+    draft.replace(folder / TOKEN_FILE)
+    return token
+
+
+def token_hash(folder: Path) -> str:
+    """The hash of the store's token, empty if there is none.
+
+    :raises BadSpecError: if others may read or change it.
+    """
+    path = folder / TOKEN_FILE
+    try:
+        mode, text = path.stat().st_mode, path.read_text().strip()
+    except FileNotFoundError:
+        return ""
+    if mode & 0o077:
+        message = f"{path}: others may read it; make a new one: zenfi token new"
+        raise BadSpecError(message)
+    return text
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only programs on this machine can reach an address."""
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def bears(token: str, hashed: str) -> bool:
+    """Whether ``token`` is the one of that hash."""
+    return hmac.compare_digest(_hash(token), hashed)
+
+
+def _hash(token: str) -> str:
+    return hashlib.sha256(token.encode()).hexdigest()
+
+
+class Gate:
+    """Lets a request in, or answers it with 401 or 403.
+
+    On loopback the Host must be a name of this machine: else a page whose name was bound to 127.0.0.1 after
+    it was loaded could speak with us (DNS rebinding). With a ``token`` hash, requests must bear that token.
+    What comes from a page (Origin) must come from one of ours. A browser that has no token is led to where
+    it can be given.
+    """
+
+    def __init__(self, app: ASGIApp, token: str, *, loopback: bool) -> None:
+        self._app, self._token, self._loopback = app, token, loopback
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Let in or refuse."""
+        refused = self._refusal(scope) if scope["type"] in ("http", "websocket") else None
+        if refused is None:
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": refused[1]})
+        elif refused[0] == 401 and "text/html" in Headers(scope=scope).get("accept", ""):
+            await RedirectResponse("/login", 303)(scope, receive, send)
+        else:
+            status, detail = refused
+            headers = {"WWW-Authenticate": "Bearer"} if status == 401 else None
+            await answer(status, detail, headers=headers)(scope, receive, send)
+
+    def _refusal(self, scope: Scope) -> tuple[int, str] | None:
+        headers = Headers(scope=scope)
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if self._loopback and not is_loopback(urlsplit(f"//{host}").hostname or ""):
+            return 403, f"Host {host!r} is no name of this machine: use 127.0.0.1 or localhost"
+        if origin is not None and urlsplit(origin).netloc != host:
+            return 403, f"Origin {origin!r} is not this service"
+        if self._token and scope["path"] not in OPEN:
+            scheme, _, token = headers.get("authorization", "").partition(" ")
+            if scheme.lower() != "bearer":
+                token = HTTPConnection(scope).cookies.get(COOKIE, "")
+            if not bears(token.strip(), self._token):
+                return 401, "needs the header Authorization: Bearer TOKEN; make one with zenfi token new"
+        return None
+
+
+class BodyLimit:
+    """Refuses bodies of more than ``most`` bytes, whatever they say of their length."""
+
+    def __init__(self, app: ASGIApp, most: int) -> None:
+        self._app, self._most = app, most
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on as long as it is short enough."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        told = Headers(scope=scope).get("content-length", "0")
+        if told.isdecimal() and int(told) > self._most:
+            await answer(413, self._refusal)(scope, receive, send)
+            return
+        got = 0
+
+        async def counted() -> Message:
+            nonlocal got
+            message = await receive()
+            got += len(message.get("body", b""))
+            if got > self._most:
+                raise HTTPException(413, self._refusal)
+            return message
+
+        await self._app(scope, counted, send)
+
+    @property
+    def _refusal(self) -> str:
+        return f"the body is larger than {self._most} bytes"
