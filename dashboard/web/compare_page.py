@@ -1,0 +1,149 @@
+"""Two campaigns, or the arms of one, side by side: flights of one seed are pairs."""
+
+from __future__ import annotations
+
+from typing import Any
+from urllib.parse import urlencode
+
+from nicegui import ui
+
+from dashboard.api.service import Service
+from dashboard.campaigns.compare import Comparison
+from dashboard.campaigns.side_by_side import side_by_side
+from dashboard.campaigns.store import Campaign
+from dashboard.campaigns.summary import CellSummary, summary
+from dashboard.web import charts
+from dashboard.web.breakdown import draw
+from dashboard.web.frame import REFUSED, ask, frame, nothing, section, trouble
+from dashboard.web.quality import (
+    BESIDE_NOTE,
+    QUALITY_NOTE,
+    beside_rows,
+    beside_table,
+    quality_rows,
+    quality_table,
+)
+
+CHOICES = 200
+"""The newest campaigns, among which one chooses; an older one can stand in the address."""
+
+TWINS = "golden twins"
+
+
+def register(here: Service) -> None:
+    """Declare the page."""
+
+    @ui.page("/compare", response_timeout=60)
+    async def page(first: str = "", second: str = "", arm: str = "") -> None:
+        with frame("Compare"):
+            try:
+                known = [one.label for one in await ask(here.store.newest, CHOICES)]
+            except REFUSED as error:
+                trouble(str(error), "Load this page again once that is put right.")
+                return
+            if not known:
+                nothing("No campaigns yet.", "There is nothing to compare.", ("Start one", "/new"))
+                return
+            await _Page(here, known).show(first or known[0], second, arm)
+
+
+class _Page:
+    def __init__(self, here: Service, known: list[str]) -> None:
+        self._here, self._known = here, known
+        self._choice = ui.row().classes("filters")
+        self._body = ui.column().classes("section parts")
+
+    async def show(self, first: str, second: str, arm: str) -> None:
+        """One campaign beside another, an arm of its own, or its golden twins."""
+        chosen = {"first": first, **({"second": second} if second else {}), **({"arm": arm} if arm else {})}
+        ui.navigate.history.replace(f"/compare?{urlencode(chosen)}")
+        self._body.clear()
+        try:
+            found = await ask(self._here.store.find, first)
+            other = await ask(self._here.store.find, second) if second else None
+            self._choose(found, second, arm)
+            with self._body:
+                wait = ui.label("Being reckoned: with thousands of flights that takes some seconds.")
+                wait.props('role="status"').classes("note")
+            compared = await ask(side_by_side, self._here.store, found, other, arm or None)
+            summaries = {
+                one.label: await ask(summary, self._here.store, one) for one in (found, other) if one
+            }
+        except REFUSED as error:
+            self._choose(None, second, arm)
+            self._body.clear()
+            with self._body:
+                trouble(str(error), "Choose others above.")
+            return
+        self._body.clear()
+        with self._body:
+            _beside(compared)
+            _qualities(summaries)
+
+    def _choose(self, found: Campaign | None, second: str, arm: str) -> None:
+        self._choice.clear()
+        first = found.label if found is not None else self._known[0]
+        arms = [f"arm {one.name}" for one in found.spec.arms] if found is not None else []
+        others = [label for label in self._known if label != first]
+        beside = f"arm {arm}" if arm else second or TWINS
+
+        async def choose_first(event: Any) -> None:
+            await self.show(event.value, "", "")
+
+        async def choose_other(event: Any) -> None:
+            value = str(event.value)
+            if value in arms:
+                await self.show(first, "", value.removeprefix("arm "))
+            else:
+                await self.show(first, "" if value == TWINS else value, "")
+
+        with self._choice:
+            labels = list(dict.fromkeys([first, *self._known]))
+            ui.select(labels, value=first, label="campaign", on_change=choose_first, with_input=True).props(
+                "outlined dense"
+            ).classes("filter")
+            options = list(dict.fromkeys([TWINS, *arms, *others, beside]))
+            ui.select(options, value=beside, label="beside", on_change=choose_other, with_input=True).props(
+                "outlined dense"
+            ).classes("filter")
+
+
+def _beside(compared: list[Comparison]) -> None:
+    reference = compared[0].reference if compared else ""
+    with section(f"Beside {reference}" if reference else "Differences", BESIDE_NOTE):
+        if not compared:
+            nothing(
+                "No flights are pairs.",
+                "Pairs are flights of one seed: with their twins, in two arms, or in cells of the same name.",
+            )
+            return
+        beside_table().rows = beside_rows(compared)
+        with ui.element("div").classes("pair"):
+            _forest("Change of success, points", [_success(one) for one in compared])
+            _forest("Change of flight time, median, s", [_time(one) for one in compared])
+
+
+def _forest(title: str, changes: list[charts.Change]) -> None:
+    with ui.column().classes("section"):
+        ui.label(title).classes("caption")
+        draw(ui.echart({}).classes("chart"), charts.forest(changes, title, title), len(changes))
+
+
+def _success(one: Comparison) -> charts.Change:
+    value = None if one.success_difference is None else 100 * one.success_difference
+    low, high = one.success_interval
+    return charts.Change(one.cell, value, 100 * low, 100 * high)
+
+
+def _time(one: Comparison) -> charts.Change:
+    interval = one.flight_time_s.median_interval
+    value = one.flight_time_s.median if interval is not None else None
+    low, high = interval if interval is not None else (0.0, 0.0)
+    return charts.Change(one.cell, value, low, high)
+
+
+def _qualities(summaries: dict[str, list[CellSummary]]) -> None:
+    for label, lines in summaries.items():
+        with section(label, QUALITY_NOTE):
+            ui.link("open", f"/campaigns/{label}")
+            quality_table().rows = quality_rows(lines)

@@ -1,0 +1,18 @@
+"""Colours and styles of the pages that show flights."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from nicegui import ui
+
+from dashboard.web.charts import BLUE, GREEN, ORANGE, PURPLE, VERMILION
+
+GOLDEN, INJECTED, RECOVERED, ALARM, STRUCK = BLUE, VERMILION, GREEN, ORANGE, PURPLE
+NEUTRAL = "#8a9099"
+"""Of texts on charts: legible on light and on dark."""
+
+
+def install() -> None:
+    """Styles of the pages that show flights."""
+    ui.add_css(Path(__file__).with_name("flight.css"), shared=True)

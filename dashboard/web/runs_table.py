@@ -1,0 +1,175 @@
+"""The runs of a campaign, a page at a time; what is shown stands in the address."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, get_args
+from urllib.parse import urlencode
+
+from nicegui import ui
+from pydantic import ValidationError
+
+from dashboard.api.service import Service
+from dashboard.campaigns.listing import Order, RunLine, RunPage, RunQuery, run_page
+from dashboard.campaigns.spec import cells
+from dashboard.campaigns.states import RunPhase
+from dashboard.campaigns.store import Campaign
+from dashboard.web.breakdown import fill
+from dashboard.web.frame import ask, told
+from dashboard.web.views import Watched
+from services.bus.outcome import MissionResult, NodeResult
+
+PAGE = 25
+COLUMNS: tuple[tuple[str, str], ...] = (
+    ("id", "run"),
+    ("arm", "arm"),
+    ("world", "world"),
+    ("fault", "fault"),
+    ("seed", "seed"),
+    ("phase", "phase"),
+    ("result", "result"),
+    ("node_result", "node struck"),
+    ("flight_time_s", "time, s"),
+    ("distance_m", "distance, m"),
+    ("energy_kj", "energy, kJ"),
+    ("replans", "replans"),
+    ("min_clearance_m", "clearance, m"),
+)
+NUMBERS = ("seed", "flight_time_s", "distance_m", "energy_kj", "replans", "min_clearance_m")
+SORTED = get_args(Order)
+_LINK = '<q-td :props="props"><a :href="props.row.href">{{ props.value }}</a></q-td>'
+
+
+def asked(parameters: Mapping[str, str]) -> RunQuery:
+    """What the address asks for; what is none of it is left out."""
+    try:
+        given = {name: value for name, value in parameters.items() if name in RunQuery.model_fields and value}
+        return RunQuery.model_validate({"limit": PAGE} | given, strict=False)
+    except ValidationError:
+        return RunQuery(limit=PAGE)
+
+
+class RunsTable:
+    """Filters, the table, and ways to the next page; :meth:`refresh` brings it up to date."""
+
+    def __init__(self, here: Service, found: Campaign, watched: Watched, query: RunQuery) -> None:
+        self._here, self._found, self._watched, self._query = here, found, watched, query
+        self._before: list[str | None] = []
+        order = cells(found.spec)
+        self._choices: dict[str, list[str]] = {
+            "arm": list(dict.fromkeys(cell.arm for cell in order)),
+            "world": list(dict.fromkeys(cell.world for cell in order)),
+            "fault": [name for name in dict.fromkeys(cell.fault for cell in order) if name],
+            "phase": list(get_args(RunPhase)),
+            "result": list(get_args(MissionResult)),
+            "node_result": list(get_args(NodeResult)),
+        }
+        with ui.row().classes("filters").props('role="search"'):
+            for name, choices in self._choices.items():
+                if name in ("phase", "result", "node_result") or len(choices) > 1:
+                    self._filter(name, choices)
+            labels = {name: label for name, label in COLUMNS if name in SORTED}
+            change = told(self._sort_by)
+            self._sorted = ui.select(labels, label="sorted by", value=query.sort, on_change=change)
+            self._sorted.props("dense outlined options-dense").classes("filter")
+            self._descending = ui.checkbox("largest first", value=query.descending, on_change=change)
+            self._descending.props('aria-label="largest first"')
+        self._table = self._make_table()
+        with ui.row().classes("toolbar"):
+            self._back = ui.button("Previous", on_click=told(self._go_back)).props("flat no-caps")
+            self._on = ui.button("Next", on_click=told(self._go_on)).props("flat no-caps")
+            self._count = ui.label().classes("note").props('role="status"')
+        self._page: RunPage | None = None
+
+    async def refresh(self) -> None:
+        """What runs that have ended since have changed."""
+        query = self._query
+        page = await self._watched.runs(query)
+        if query is self._query:  # else another page was turned to meanwhile
+            self._show(page)
+
+    def _show(self, page: RunPage) -> None:
+        self._page = page
+        fill(self._table, [self._row(run) for run in page.runs])
+        self._back.set_enabled(self._query.after is not None)
+        self._on.set_enabled(page.next is not None)
+        self._count.set_text(f"{len(page.runs)} runs here" if page.runs else "No run is like this.")
+
+    def _make_table(self) -> ui.table:
+        shown = [one for one in COLUMNS if one[0] not in self._choices or len(self._choices[one[0]]) > 1]
+        columns = [
+            {
+                "name": name,
+                "label": label,
+                "field": name,
+                "sortable": name in SORTED,
+                "align": "right" if name in NUMBERS else "left",
+            }
+            for name, label in shown
+        ]
+        table = ui.table(columns=columns, rows=[], row_key="id", pagination=self._order()).classes(
+            "figures runs"
+        )
+        table.props("flat dense binary-state-sort hide-pagination")
+        # Names as they are: Vue puts them in as text.
+        table.add_slot("body-cell-id", _LINK)
+        table.on("request", told(self._sort), ["pagination"])
+        return table
+
+    def _filter(self, name: str, choices: list[str]) -> None:
+        label = dict(COLUMNS)[name]
+
+        async def choose(event: Any) -> None:
+            await self._ask(**{name: event.value})
+
+        select = ui.select(
+            choices, label=label, value=getattr(self._query, name), clearable=True, on_change=told(choose)
+        )
+        select.props("dense outlined options-dense").classes("filter")
+
+    def _order(self) -> dict[str, object]:
+        """What Quasar is told; with a number of rows it leaves sorting to us."""
+        return {
+            "sortBy": self._query.sort,
+            "descending": self._query.descending,
+            "rowsPerPage": self._query.limit,
+            "rowsNumber": self._query.limit,
+        }
+
+    async def _sort(self, event: Any) -> None:
+        wanted = event.args["pagination"]
+        self._sorted.set_value(wanted["sortBy"] or "id")
+        self._descending.set_value(bool(wanted["descending"]))
+
+    async def _sort_by(self) -> None:
+        await self._ask(sort=self._sorted.value, descending=self._descending.value)
+        self._table.pagination = self._order()
+
+    async def _ask(self, **changes: object) -> None:
+        self._before.clear()
+        await self._turn_to(**changes, after=None)
+
+    async def _go_on(self) -> None:
+        if self._page is not None and self._page.next is not None:
+            self._before.append(self._query.after)
+            await self._turn_to(after=self._page.next)
+
+    async def _go_back(self) -> None:
+        await self._turn_to(after=self._before.pop() if self._before else None)
+
+    async def _turn_to(self, **changes: object) -> None:
+        self._query = RunQuery.model_validate(self._query.model_dump() | changes)
+        chosen = self._query.model_dump(mode="json", exclude_defaults=True, exclude={"limit"})
+        if self._query.limit != PAGE:
+            chosen["limit"] = self._query.limit
+        address = f"/campaigns/{self._found.label}"
+        ui.navigate.history.replace(f"{address}?{urlencode(chosen)}#runs" if chosen else address)
+        self._show(await ask(run_page, self._here.store, self._found, self._query))
+
+    def _row(self, run: RunLine) -> dict[str, object]:
+        row: dict[str, object] = run.model_dump(exclude={"result"})
+        if run.result is not None:
+            for name, _ in COLUMNS:
+                value = getattr(run.result, name, row.get(name))
+                row[name] = f"{value:.2f}" if isinstance(value, float) else value
+        return row | {"href": f"/campaigns/{self._found.label}/runs/{run.id}"}

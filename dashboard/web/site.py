@@ -1,0 +1,87 @@
+"""The pages, mounted on the application of the API: one port, one gate, one process."""
+
+from __future__ import annotations
+
+from fastapi import FastAPI
+from nicegui import ui
+from starlette.routing import Match, Mount
+from starlette.types import Message, Receive, Scope, Send
+
+from dashboard.api.service import Service
+from dashboard.web import (
+    campaign_page,
+    compare_page,
+    flight_style,
+    frame,
+    home_page,
+    live_page,
+    login,
+    new_page,
+    run_page,
+    studies_page,
+    system_page,
+)
+
+PAGES = (home_page, new_page, campaign_page, run_page, live_page, compare_page, studies_page, system_page)
+"""A module per page; each has ``register(here)``."""
+
+NOT_PAGES = ("/api/", "/health", "/ready", "/metrics")
+"""What the API answers itself, also that there is no such path."""
+
+RECONNECT_S = 5.0
+"""What the server keeps a page's state for, while its browser is away."""
+
+POLICY = (
+    "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; "
+    "form-action 'self'; frame-ancestors 'none'; base-uri 'self'"
+)
+"""Nothing from another host, and no page of others around ours. NiceGUI's scripts stand in the page."""
+
+
+def mount(app: FastAPI, here: Service) -> None:
+    """Have ``app`` answer with pages what is no path of the API. Once a process: NiceGUI is one."""
+    app.include_router(login.router)
+    for page in PAGES:
+        page.register(here)
+    frame.install()
+    flight_style.install()
+    ui.run_with(
+        app,
+        title="ZenFI",
+        favicon=frame.ICON,
+        dark=None,
+        tailwind=False,
+        reconnect_timeout=RECONNECT_S,
+        show_welcome_message=False,
+    )
+    mounted = app.router.routes.pop()
+    assert isinstance(mounted, Mount)  # noqa: S101 - just made
+    app.router.routes.append(_Pages("/", app=mounted.app, name="pages"))
+
+
+class _Pages(Mount):
+    """Everything but the API's paths; answers with the policy."""
+
+    def matches(self, scope: Scope) -> tuple[Match, Scope]:
+        """Whether a path is a page's."""
+        if scope.get("path", "").startswith(NOT_PAGES):
+            return Match.NONE, {}
+        return super().matches(scope)
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer, under the policy."""
+
+        async def told(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                kept = [(name, value) for name, value in message["headers"] if name != b"cache-control"]
+                private = (b"cache-control", b"private, no-cache")
+                static = scope["path"].startswith("/_nicegui/")
+                message["headers"] = [
+                    *(message["headers"] if static else [*kept, private]),
+                    (b"content-security-policy", POLICY.encode()),
+                    (b"referrer-policy", b"same-origin"),
+                    (b"x-content-type-options", b"nosniff"),
+                ]
+            await send(message)
+
+        await super().handle(scope, receive, told)
