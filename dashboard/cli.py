@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +17,27 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from dashboard import tables
-from dashboard.campaigns.database import StoreFullError
+from dashboard.campaigns.database import StoreError
 from dashboard.campaigns.spec import load_campaign
+from dashboard.commands.announce import announce
 from dashboard.commands.bench import bench
 from dashboard.commands.campaign import as_picture, campaign, in_store
+from dashboard.commands.detector import DETECTOR_FORM, detector_fields
 from dashboard.commands.fault import FORM, parse_fault
 from dashboard.commands.flying import run_new
+from dashboard.commands.inject import inject
 from dashboard.commands.kernels import kernels
 from dashboard.commands.options import as_json
+from dashboard.commands.recordings import propagation, view
 from dashboard.commands.redundancy import redundancy
 from dashboard.commands.replay import replay
+from dashboard.commands.ros2 import RosOptions, in_domain, ros2, shown_in_ros
+from dashboard.commands.service import foxglove, serve, token
+from dashboard.commands.stack import down, logs, ps, restart, stop, up
 from dashboard.commands.train import train
 from dashboard.commands.world import world
 from deploy.check import BadSpecError, check, one_line
+from deploy.compose.folder import StackError
 from deploy.definitions import inlined
 from deploy.doctor import examine
 from deploy.forkserver import ForkServer, ForkServerError
@@ -61,8 +70,14 @@ def zenfi() -> None:
 )
 @click.option("--clock", default="lockstep", show_default=True, help="lockstep or realtime.")
 @click.option("--profile", default="fast", show_default=True, help="Set of parameters: fast or paper.")
+@click.option("--stack", metavar="FILE.toml", help="Programs of your own in the place of stages.")
 @click.option("--energy", default="airframe", show_default=True, help="airframe, regression or momentum.")
-@click.option("--fault", metavar=FORM, help="Flip one bit, e.g. instruction:rrt_star,operand=source.")
+@click.option("--detector", metavar=DETECTOR_FORM, help="Watch the flight, e.g. gaussian,recovery=control.")
+@click.option(
+    "--fault",
+    metavar=FORM,
+    help="Flip one bit, e.g. instruction:rrt_star,operand=source; model=none does everything but the flip.",
+)
 @click.option("--fault-seed", type=int, default=0, show_default=True, help="Seed of the fault.")
 @click.option(
     "--fault-over",
@@ -71,18 +86,40 @@ def zenfi() -> None:
     show_default=True,
     help="Draw the struck call over the kernel's calls or over the flight's time.",
 )
+@click.option(
+    "--record", type=click.Path(path_type=Path, dir_okay=False), help="Record the messages: FILE.mcap."
+)
+@shown_in_ros
 @as_json
-def fly(fault: str | None, fault_seed: int, fault_over: str, as_json: bool, **fields: Any) -> None:
+def fly(
+    detector: str | None,
+    fault: str | None,
+    fault_seed: int,
+    fault_over: str,
+    record: Path | None,
+    ros: RosOptions | None,
+    as_json: bool,
+    **fields: Any,
+) -> None:
     """Fly one mission; with --fault, its golden twin first."""
+    if detector is not None:
+        fields["detector"] = detector_fields(detector)
     if fault is not None:
         fields["fault"] = parse_fault(fault, fault_seed, fault_over)
     spec = MissionSpec.model_validate(inlined(fields))
     check(spec)
-    server = ForkServer()
-    try:
-        outcome = Pairs(server).fly(spec)
-    finally:
-        server.close()
+    if record is not None and not record.parent.is_dir():
+        message = f"--record {record}: there is no folder {record.parent}"
+        raise BadSpecError(message)
+    with in_domain(ros, spec) as watch:
+        server = ForkServer()
+        try:
+            outcome = Pairs(server, watch).fly(spec, record)
+        finally:
+            server.close()
+    if outcome.recording is not None and outcome.recording.problem:
+        message = f"recording {record}: {outcome.recording.problem}"
+        raise InfrastructureError(message)
     if as_json:
         click.echo(outcome.model_dump_json(by_alias=True))
     else:
@@ -90,21 +127,31 @@ def fly(fault: str | None, fault_seed: int, fault_over: str, as_json: bool, **fi
 
 
 zenfi.add_command(world)
+zenfi.add_command(announce)
 zenfi.add_command(bench)
+zenfi.add_command(inject)
 zenfi.add_command(kernels)
 zenfi.add_command(replay)
 zenfi.add_command(redundancy)
+zenfi.add_command(view)
+zenfi.add_command(propagation)
+zenfi.add_command(ros2)
 zenfi.add_command(train)
 
 
 zenfi.add_command(campaign)
+zenfi.add_command(serve)
+zenfi.add_command(token)
+zenfi.add_command(foxglove)
+for command in (up, ps, logs, restart, stop, down):
+    zenfi.add_command(command)
 
 
 @zenfi.command()
 @in_store
 @as_json
 @as_picture
-def demo(store: Path, as_json: bool, svg: Path | None) -> None:
+def demo(store: str, as_json: bool, svg: Path | None) -> None:
     """A small campaign in Sparse: golden flights beside flights with one flipped bit."""
     run_new(load_campaign("demo"), None, store, as_json, svg)
 
@@ -123,16 +170,22 @@ def doctor(as_json: bool) -> None:
         sys.exit(1)
 
 
-def main() -> None:
-    """Entry point of the ``zenfi`` command."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point of the ``zenfi`` command, with what was typed or with ``arguments``."""
     try:
-        zenfi.main(standalone_mode=False)
-    except (click.ClickException, BadSpecError, NothingToInjectError, DetectionInputError) as error:
+        zenfi.main(arguments, standalone_mode=False)
+    except (
+        click.ClickException,
+        BadSpecError,
+        NothingToInjectError,
+        DetectionInputError,
+        StackError,
+    ) as error:
         text = error.format_message() if isinstance(error, click.ClickException) else str(error)
         _give_up(text, 2)
     except ValidationError as error:
         _give_up(one_line(error), 2)
-    except (InfrastructureError, ForkServerError, StoreFullError) as error:
+    except (InfrastructureError, ForkServerError, StoreError) as error:
         _give_up(str(error), 1)
     except (KeyboardInterrupt, click.Abort):
         _give_up("interrupted", 130)

@@ -8,12 +8,16 @@ from rich.table import Table
 
 from dashboard.campaigns.compare import Comparison
 from dashboard.campaigns.forecast import Forecast
+from dashboard.campaigns.presets import Preset
 from dashboard.campaigns.statistics.proportions import Interval
 from dashboard.campaigns.summary import CellSummary
 from injector.preflight import Finding
-from services.bus.outcome import InjectionRecord, NodeReport, Outcome
+from services.bus.detection import DetectionReport
+from services.bus.outcome import InjectionRecord, NodeReport, Outcome, RecordingReport
+from services.bus.propagation import Propagation
 
 NODE_RESULTS = ("benign", "sdc", "crash", "hang")
+ALARMS_SHOWN = 8
 
 
 def outcome(one: Outcome) -> Table:
@@ -42,11 +46,48 @@ def outcome(one: Outcome) -> Table:
     for stage, report in one.nodes.items():
         told = [*report.causes, *_counted(report)]
         table.add_row(stage, report.result + (f" ({', '.join(told)})" if told else ""))
+    if one.detection is not None:
+        table.add_row("detection", _detection(one.detection))
     if one.refused_messages:
         table.add_row("messages not recorded", str(one.refused_messages))
     if one.injection is not None:
         table.add_row("injection", _injection(one.injection))
+    if one.recording is not None:
+        table.add_row("recording", _recording(one.recording))
+    if one.propagation is not None:
+        table.add_row("strayed", _strayed(one.propagation))
     return table
+
+
+def propagation(found: Propagation) -> Table:
+    """The topics that left the golden twin's, in the order in which they did."""
+    struck = "nothing was struck"
+    if found.struck_at_ns is not None:
+        struck = f"{found.struck_stage} was struck at {found.struck_at_ns / 1e9:.3f} s"
+    reached = "the command is the twin's"
+    if found.command_at_ns is not None:
+        reached = f"it reached the command at {found.command_at_ns / 1e9:.3f} s"
+    table = Table(
+        title=f"{struck}; {reached}", caption=f"as the twin's: {', '.join(found.same) or 'nothing'}"
+    )
+    for heading in ("topic", "from s", "tick", "through", "first", "largest", "at s", "last"):
+        table.add_column(heading, justify="left" if heading in ("topic", "through") else "right")
+    for one in found.topics:
+        numbers = (one.first, one.largest, one.last)
+        first, largest, last = ("" if number is None else f"{number:.3g} {one.unit}" for number in numbers)
+        at_s = "" if one.largest_at_ns is None else f"{one.largest_at_ns / 1e9:.3f}"
+        through = ", ".join(one.causes)
+        table.add_row(one.topic, f"{one.at_ns / 1e9:.3f}", str(one.tick), through, first, largest, at_s, last)
+    return table
+
+
+def _recording(report: RecordingReport) -> str:
+    lost = f", {report.dropped} dropped" if report.dropped else ""
+    return f"{report.messages} messages{lost}, {report.size_bytes / 1e6:.1f} MB"
+
+
+def _strayed(found: Propagation) -> str:
+    return "\n".join(f"{one.topic} from {one.at_ns / 1e9:.3f} s" for one in found.topics) or "nothing"
 
 
 def _counted(report: NodeReport) -> list[str]:
@@ -55,8 +96,25 @@ def _counted(report: NodeReport) -> list[str]:
         "outdated": report.outdated,
         "alarms": report.alarms,
         "recomputed": report.recomputed,
+        "ungated": report.ungated,
     }
     return [f"{count} {name}" for name, count in counts.items() if count]
+
+
+def _detection(report: DetectionReport) -> str:
+    true = sum(alarm.true for alarm in report.alarms)
+    lines = [
+        f"alarms: {true} true, {len(report.alarms) - true} false; {report.checks} checks",
+        f"{report.detection_share:.4%} of the time, recomputation {report.recomputation_share:.2%}",
+    ]
+    lines += [
+        f"{one.virtual_time_ns / 1e9:.2f} s: {one.stage}, {one.state or 'nonsense'}: "
+        f"{one.action.replace('_', ' ')}"
+        for one in report.alarms[:ALARMS_SHOWN]
+    ]
+    if len(report.alarms) > ALARMS_SHOWN:
+        lines.append(f"and {len(report.alarms) - ALARMS_SHOWN} more")
+    return "\n".join(lines)
 
 
 def _injection(record: InjectionRecord) -> str:
@@ -79,10 +137,12 @@ def _number(value: float, unit: str) -> str:
 
 def campaign(name: str, summary: Sequence[CellSummary]) -> Table:
     """Quality of flight per cell; fits a terminal of 80 columns."""
+    failed = sum(line.failed_to_fly for line in summary)
+    lost = f" {failed} runs failed to fly and count nowhere: see zenfi campaign export." if failed else ""
     table = Table(
         title=f"{name}: quality of flight per arm",
         caption="95 %: Wilson interval of success. s, m, kJ: medians of successes; plans: mean of replans. "
-        "hit: flights in which the bit was flipped; then what became of the node aimed at in these.",
+        "hit: flights in which the bit was flipped; then what became of the node aimed at in these." + lost,
         box=None,
         padding=(0, 1, 0, 0),
     )
@@ -114,10 +174,30 @@ def campaigns(lines: Sequence[Mapping[str, object]]) -> Table:
     return table
 
 
+def files(counts: Mapping[str, Mapping[str, int]]) -> str:
+    """What became of the files of runs, and how large they are."""
+    told = (f"{one['runs']} {fate} ({one['bytes'] / 1e6:.1f} MB)" for fate, one in sorted(counts.items()))
+    return f"files of runs: {', '.join(told)}"
+
+
+def presets(plans: Sequence[tuple[Preset, Forecast]]) -> Table:
+    """The campaigns that come along; fits a terminal of 80 columns."""
+    table = Table(box=None, padding=(0, 1, 0, 0))
+    for column in ("preset", "cells", "flights", "time", ""):
+        table.add_column(column, justify="right" if column in ("cells", "flights", "time") else "left")
+    for preset, plan in plans:
+        flights = str(plan.runs + plan.twins)
+        table.add_row(preset.name, str(plan.cells), flights, _time(plan), preset.about)
+    return table
+
+
+def _time(plan: Forecast) -> str:
+    minutes = plan.hours * 60
+    return f"{minutes / 60:.1f} h" if minutes >= 90 else f"{max(minutes, 1):.0f} min"
+
+
 def forecast(label: str, plan: Forecast) -> str:
     """One paragraph: what a campaign takes and can tell."""
-    minutes = plan.hours * 60
-    time = f"{minutes / 60:.1f} h" if minutes >= 90 else f"{max(minutes, 1):.0f} min"
     source = "as flights took here" if plan.measured else "a guess: nothing was flown here yet"
     drop = plan.resolvable_drop
     tells = (
@@ -126,8 +206,8 @@ def forecast(label: str, plan: Forecast) -> str:
         else "no drop of success from 95 %"
     )
     return (
-        f"{label}: {plan.runs} flights in {plan.cells} cells and {plan.twins} golden twins, about {time} "
-        f"({source}), {plan.disk_mb:.1f} MB. {plan.per_cell} flights a cell can tell {tells} "
+        f"{label}: {plan.runs} flights in {plan.cells} cells and {plan.twins} golden twins, about "
+        f"{_time(plan)} ({source}), {plan.disk_mb:.1f} MB. {plan.per_cell} flights a cell can tell {tells} "
         "(two cells, 80 % power)."
     )
 

@@ -46,7 +46,7 @@ def kernels(flights: int, output: Path | None, as_json: bool) -> None:
     table = Table(title="thread time of a call")
     for column in ("kernel", "mean ms", "jitter"):
         table.add_column(column, justify="left" if column == "kernel" else "right")
-    for kernel, latency in platform.kernels.items():
+    for kernel, latency in (platform.kernels | platform.detectors).items():
         table.add_row(kernel, f"{latency.mean_ms:.3f}", f"{latency.jitter:.2f}")
     Console().print(table)
 

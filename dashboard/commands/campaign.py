@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,25 +13,32 @@ import click
 from rich.console import Console
 
 from dashboard import tables
-from dashboard.campaigns import export
-from dashboard.campaigns.compare import Comparison, compare, with_others, with_twins
-from dashboard.campaigns.events import Cancel
+from dashboard.campaigns import export, steering
+from dashboard.campaigns.executors.choice import FORM, parse_executor, slots_of
+from dashboard.campaigns.forecast import forecast
+from dashboard.campaigns.listing import files, line
+from dashboard.campaigns.presets import presets, scaled
+from dashboard.campaigns.side_by_side import side_by_side
 from dashboard.campaigns.spec import load_campaign
-from dashboard.campaigns.store import BusyError, Campaign, Store, default_folder
-from dashboard.commands.flying import fly, messages, run_new, summary, tell
+from dashboard.campaigns.store import Campaign, Store, default_folder
+from dashboard.campaigns.summary import summary
+from dashboard.commands.flying import fly, messages, run_new, tell
 from dashboard.commands.options import as_json
 from deploy.check import BadSpecError
 
 Command = Callable[..., Any]
 in_store = click.option(
     "--store",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=default_folder,
+    metavar="FOLDER|URL",
+    default=lambda: str(default_folder()),
     show_default="$ZENFI_HOME, or ~/.local/share/zenfi",
-    help="Folder of the campaigns.",
+    help="Where the campaigns are: a folder, or postgresql://USER@HOST/DATABASE.",
 )
 in_slots = click.option(
     "--slots", type=click.IntRange(1, 256), help="Flights at a time (default: one per processor)."
+)
+executor_at = click.option(
+    "--executor", metavar=FORM, help="Who flies (default: as the campaign's file says, else local)."
 )
 as_picture = click.option(
     "--svg", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Also draw the table."
@@ -44,52 +52,93 @@ def campaign() -> None:
 
 @campaign.command()
 @click.argument("spec")
+@click.option(
+    "--scale", type=click.FloatRange(min=0, min_open=True), default=1.0, help="So many times the runs a cell."
+)
+@executor_at
 @in_slots
 @in_store
 @as_json
 @as_picture
-def run(spec: str, slots: int | None, store: Path, as_json: bool, svg: Path | None) -> None:
+def run(
+    spec: str,
+    scale: float,
+    executor: str | None,
+    slots: int | None,
+    store: str,
+    as_json: bool,
+    svg: Path | None,
+) -> None:
     """Fly the campaign in the TOML or JSON file SPEC, or the preset of that name."""
-    run_new(load_campaign(spec), slots, store, as_json, svg)
+    asked = scaled(load_campaign(spec), scale)
+    if executor is not None:
+        asked = asked.model_copy(update={"executor": parse_executor(executor, asked.executor)})
+    run_new(asked, slots, store, as_json, svg)
 
 
 @campaign.command()
 @click.argument("label", required=False)
 @click.option("--disk-mb", type=click.IntRange(1), help="Let the store grow to this instead.")
+@executor_at
 @in_slots
 @in_store
 @as_json
 @as_picture
 def resume(
-    label: str | None, disk_mb: int | None, slots: int | None, store: Path, as_json: bool, svg: Path | None
+    label: str | None,
+    disk_mb: int | None,
+    executor: str | None,
+    slots: int | None,
+    store: str,
+    as_json: bool,
+    svg: Path | None,
 ) -> None:
     """Fly what is left of the campaign LABEL (default: the last unfinished one)."""
     with contextlib.closing(Store(store)) as opened:
         if label is None:
             left = [one for one in opened.campaigns() if one.phase not in ("done", "cancelled")]
             if not left:
-                message = f"nothing to resume in {store}"
+                message = f"nothing to resume in {opened.place}"
                 raise BadSpecError(message)
             found = left[-1]
         else:
             found = opened.find(label)
-        if found.phase in ("done", "cancelled"):
-            message = f"{found.label} is {found.phase}: nothing to resume"
-            raise BadSpecError(message)
+        steering.refuse_ended(found)
         limit_mb = disk_mb or found.spec.limits.disk_mb
-        fly(opened, found, slots, limit_mb, as_json, svg)
+        spec = found.spec.executor
+        at = parse_executor(executor, spec) if executor is not None else spec
+        fly(opened, found, at, slots, limit_mb, as_json, svg)
+
+
+@campaign.command("presets")
+@in_slots
+@in_store
+@as_json
+def presets_(slots: int | None, store: str, as_json: bool) -> None:
+    """The campaigns that come along: what they are, and what they take at --scale 1."""
+    with contextlib.closing(Store(store)) as opened:
+        plans = [
+            (preset, forecast(spec, opened, slots_of(spec.executor, slots, spec.limits.lease_s)))
+            for preset in presets()
+            for spec in [load_campaign(preset.name)]
+        ]
+    if as_json:
+        for preset, plan in plans:
+            click.echo(json.dumps({**preset._asdict(), "forecast": plan.model_dump()}))
+    else:
+        Console().print(tables.presets(plans))
 
 
 @campaign.command("list")
 @in_store
 @as_json
-def list_(store: Path, as_json: bool) -> None:
+def list_(store: str, as_json: bool) -> None:
     """Every campaign of the store."""
     with contextlib.closing(Store(store)) as opened:
         lines = [_line(opened, one) for one in opened.campaigns()]
     if as_json:
-        for line in lines:
-            click.echo(json.dumps(line))
+        for one in lines:
+            click.echo(json.dumps(one))
     else:
         Console().print(tables.campaigns(lines))
 
@@ -99,42 +148,62 @@ def list_(store: Path, as_json: bool) -> None:
 @in_store
 @as_json
 @as_picture
-def show(label: str, store: Path, as_json: bool, svg: Path | None) -> None:
+def show(label: str, store: str, as_json: bool, svg: Path | None) -> None:
     """What the campaign LABEL has found so far."""
     with contextlib.closing(Store(store)) as opened:
         found = opened.find(label)
-        line = _line(opened, found)
+        told = _line(opened, found)
         if as_json:
-            click.echo(json.dumps({**line, "spec": found.spec.model_dump(mode="json")}))
+            click.echo(json.dumps({**told, "spec": found.spec.model_dump(mode="json")}))
         else:
-            reason = f" ({line['reason']})" if line["reason"] else ""
-            messages.print(f"{found.label}: {line['phase']}{reason}, {line['done']} of {line['runs']} flown")
-        tell(found, line["phase"], summary(opened, found), as_json, svg)
+            reason = f" ({told['reason']})" if told["reason"] else ""
+            messages.print(f"{found.label}: {told['phase']}{reason}, {told['done']} of {told['runs']} flown")
+            if told["files"]:
+                messages.print(tables.files(told["files"]))
+        tell(found, told["phase"], summary(opened, found), as_json, svg)
 
 
 @campaign.command()
 @click.argument("label")
 @in_store
-def cancel(label: str, store: Path) -> None:
+def cancel(label: str, store: str) -> None:
     """Give the campaign LABEL up; what was flown stays."""
     with contextlib.closing(Store(store)) as opened:
         found = opened.find(label)
-        if found.phase in ("done", "cancelled"):
-            message = f"{found.label} is {found.phase} already"
-            raise BadSpecError(message)
-        try:
-            with opened.lock(found):
-                states = opened.states(found)
-                opened.write(found, states, states.handle(Cancel()), {})
-        except BusyError:
-            opened.wish(found, "cancel")
+        steering.cancel(opened, found)
+
+
+@campaign.command()
+@click.argument("label")
+@in_store
+def pause(label: str, store: str) -> None:
+    """Leave the campaign LABEL so that it can be resumed; what is in flight is flown again then."""
+    with contextlib.closing(Store(store)) as opened:
+        steering.pause(opened, opened.find(label))
+
+
+@campaign.command()
+@click.argument("label")
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@in_store
+def delete(label: str, yes: bool, store: str) -> None:
+    """Remove the campaign LABEL with its runs, results and files."""
+    with contextlib.closing(Store(store)) as opened:
+        found = opened.find(label)
+        counts = opened.progress(found)
+        if not yes:
+            if not sys.stdin.isatty():
+                message = f"{found.label} has {counts['done']} flown runs: to delete it, say --yes"
+                raise BadSpecError(message)
+            click.confirm(f"Delete {found.label} with {counts['done']} flown runs?", abort=True, err=True)
+        opened.delete(found)
 
 
 @campaign.command("export")
 @click.argument("label")
 @click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
 @in_store
-def export_(label: str, file: Path, store: Path) -> None:
+def export_(label: str, file: Path, store: str) -> None:
     """Write the campaign LABEL as a table with a row per run to FILE (.csv or .parquet)."""
     with contextlib.closing(Store(store)) as opened:
         export.write(opened.records(opened.find(label)), file)
@@ -146,7 +215,7 @@ def export_(label: str, file: Path, store: Path) -> None:
 @click.option("--against", metavar="ARM", help="Compare every arm with this one instead of golden twins.")
 @in_store
 @as_json
-def compare_(label: str, other: str | None, against: str | None, store: Path, as_json: bool) -> None:
+def compare_(label: str, other: str | None, against: str | None, store: str, as_json: bool) -> None:
     """Set flights beside flights of the same seeds.
 
     Each cell of the campaign LABEL is compared with its golden twins, with the arm --against, or
@@ -156,7 +225,7 @@ def compare_(label: str, other: str | None, against: str | None, store: Path, as
         raise BadSpecError("--against is for one campaign; with two, cells of the same name are compared")
     with contextlib.closing(Store(store)) as opened:
         found = opened.find(label)
-        compared = _compared(opened, found, opened.find(other) if other else None, against)
+        compared = side_by_side(opened, found, opened.find(other) if other else None, against)
     if not compared:
         message = f"{found.label}: nothing to compare: no two flights are of the same cell and seed"
         raise BadSpecError(message)
@@ -167,31 +236,6 @@ def compare_(label: str, other: str | None, against: str | None, store: Path, as
         Console().print(tables.comparison(found.label, compared))
 
 
-def _compared(store: Store, found: Campaign, other: Campaign | None, against: str | None) -> list[Comparison]:
-    records = list(store.records(found))
-    if other is not None:
-        return compare(with_others(records, list(store.records(other)), other.label, lambda cell: cell))
-    if against is None:
-        return compare(with_twins(records))
-    arms = [arm.name for arm in found.spec.arms]
-    if against not in arms:
-        message = f"--against: no arm {against!r}; the arms are {', '.join(arms)}"
-        raise BadSpecError(message)
-    others = [record for record in records if record.cell.arm != against]
-    return compare(with_others(others, records, against, lambda cell: cell._replace(arm=against)))
-
-
 def _line(store: Store, one: Campaign) -> dict[str, Any]:
-    counts = store.progress(one)
-    phase: str = one.phase
-    if phase == "running" and not store.is_flying(one):
-        phase = "interrupted"
-    return {
-        "campaign": one.label,
-        "phase": phase,
-        "reason": one.reason,
-        "runs": sum(counts.values()),
-        "done": counts["done"],
-        "failed": counts["failed"],
-        "created": one.created,
-    }
+    kept = {fate: count.model_dump() for fate, count in files(store, one).items()}
+    return {**line(store, one).model_dump(), "files": kept}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import sys
 from io import StringIO
 from pathlib import Path
@@ -22,86 +21,58 @@ from rich.progress import (
 )
 
 from dashboard import tables
-from dashboard.campaigns.database import StoreFullError
+from dashboard.campaigns.executors.choice import slots_of
+from dashboard.campaigns.executors.spec import ExecutorSpec
 from dashboard.campaigns.forecast import forecast
-from dashboard.campaigns.local import LocalExecutor
 from dashboard.campaigns.scheduler import Finished, Scheduler
-from dashboard.campaigns.spec import CampaignSpec, cells
-from dashboard.campaigns.stopping import StoppingRule
+from dashboard.campaigns.session import scheduling
+from dashboard.campaigns.spec import CampaignSpec
 from dashboard.campaigns.store import Campaign, Store
-from dashboard.campaigns.summary import CellSummary, summarise
-from deploy.supervisor import InfrastructureError
+from dashboard.campaigns.summary import CellSummary, summary
 
 messages = Console(stderr=True)
 PICTURE_COLUMNS = 90
 
 
-def run_new(spec: CampaignSpec, slots: int | None, folder: Path, as_json: bool, svg: Path | None) -> None:
+def run_new(spec: CampaignSpec, slots: int | None, where: str, as_json: bool, svg: Path | None) -> None:
     """Store a campaign, tell what it will take, and fly it."""
-    with contextlib.closing(Store(folder)) as store:
-        plan = forecast(spec, store, slots or len(os.sched_getaffinity(0)))
+    at_a_time = slots_of(spec.executor, slots, spec.limits.lease_s)
+    with contextlib.closing(Store(where)) as store:
+        plan = forecast(spec, store, at_a_time)
         created = store.create(spec)
         if as_json:
             click.echo(json.dumps({"campaign": created.label, "forecast": plan.model_dump()}))
         else:
             messages.print(tables.forecast(created.label, plan))
-        fly(store, created, slots, spec.limits.disk_mb, as_json, svg)
+        fly(store, created, spec.executor, slots, spec.limits.disk_mb, as_json, svg)
 
 
 def fly(
-    store: Store, found: Campaign, slots: int | None, disk_mb: int, as_json: bool, svg: Path | None
+    store: Store,
+    found: Campaign,
+    executor: ExecutorSpec,
+    slots: int | None,
+    disk_mb: int,
+    as_json: bool,
+    svg: Path | None,
 ) -> None:
     """Fly what is left of a campaign while the store stays below ``disk_mb``; tell what it has found."""
     store.limit(disk_mb)
-    with store.lock(found):
-        scheduler = _fly_under_lock(store, found, slots, as_json)
+    try:
+        with scheduling(store, found, executor, slots) as scheduler:
+            if store.wished(found) == "pause":  # it was obeyed
+                store.wish(found, "")
+            _watch(scheduler, found, as_json)
+    except KeyboardInterrupt:
+        click.echo(f"zenfi: go on with: zenfi campaign resume {found.label}", err=True)
+        raise
     tell(found, scheduler.states.phase, summary(store, found), as_json, svg)
     if scheduler.states.phase == "cancelled":
         messages.print(f"{found.label} was cancelled")
+    if scheduler.states.phase == "paused":
+        messages.print(f"{found.label} is paused: go on with zenfi campaign resume {found.label}")
     if scheduler.states.phase != "done":
         sys.exit(1)
-
-
-def _fly_under_lock(store: Store, found: Campaign, slots: int | None, as_json: bool) -> Scheduler:
-    planned = store.planned(found)
-    rule = StoppingRule(found.spec.stop, (run.cell for run in planned.values()), found.spec.runs)
-    for record in store.records(found):
-        if record.result is not None:
-            rule.add(record.cell, record.number, success=record.result.success)
-    limits = found.spec.limits
-    with contextlib.closing(LocalExecutor(slots, limits.lease_s, store.artefacts(found))) as executor:
-        scheduler = Scheduler(
-            store.states(found),
-            planned,
-            executor,
-            rule,
-            limits.lease_s,
-            lambda states, changed, outcomes: store.write(found, states, changed, outcomes),
-            lambda: store.wished(found),
-        )
-        try:
-            _watch(scheduler, found, as_json)
-        except KeyboardInterrupt:
-            _leave(scheduler, "interrupted")
-            click.echo(f"zenfi: go on with: zenfi campaign resume {found.label}", err=True)
-            raise
-        except StoreFullError as error:
-            _leave(scheduler, "the store is full")
-            message = (
-                f"{found.label} is paused: {error}; nothing is lost: make room on the disk or in the quota "
-                f"(--disk-mb), then zenfi campaign resume {found.label}"
-            )
-            raise InfrastructureError(message) from error
-        except InfrastructureError as error:
-            _leave(scheduler, str(error))
-            raise
-    return scheduler
-
-
-def _leave(scheduler: Scheduler, reason: str) -> None:
-    # On a full disk the state cannot be written either; without a scheduler it reads as interrupted.
-    with contextlib.suppress(StoreFullError):
-        scheduler.pause(reason)
 
 
 def _watch(scheduler: Scheduler, found: Campaign, as_json: bool) -> None:
@@ -141,11 +112,6 @@ def _flight(found: Campaign, one: Finished) -> None:
         click.echo(json.dumps({**head, "error": one.error}))
     else:
         click.echo(json.dumps({**head, "outcome": one.outcome.model_dump(mode="json", by_alias=True)}))
-
-
-def summary(store: Store, found: Campaign) -> list[CellSummary]:
-    """What a campaign has found so far."""
-    return summarise(cells(found.spec), store.records(found))
 
 
 def tell(found: Campaign, phase: str, lines: list[CellSummary], as_json: bool, svg: Path | None) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
 
 import click
 from rich.box import SIMPLE
@@ -13,34 +15,18 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from dashboard.campaigns.statistics.proportions import wilson
 from dashboard.commands.fault import fault_fields
 from dashboard.commands.options import as_json
-from deploy.study import check_study, study
+from dashboard.kernel_study import RESULTS, WAYS, KernelSummary, Share, divided, summarise
+from deploy.check import check_kernel, check_machine
+from deploy.study import Study
+from deploy.study_file import StudyFile
+from injector.study import StudyRun
 from services.bus.mission import FaultSpec
-from services.bus.model import Strict
+from services.kernels import KERNELS
 
 PAPERS = ("octomap", "rrt", "rrt_connect", "rrt_star", "pid")
-RESULTS = ("benign", "sdc", "crash", "hang")
-
-
-class Share(Strict):
-    """How many of the injected, and the 95 % Wilson interval of their part."""
-
-    count: int
-    low: float
-    high: float
-
-
-class KernelSummary(Strict):
-    """One kernel's outcomes."""
-
-    kernel: str
-    attempted: int
-    injected: int
-    shares: dict[str, Share]
-    tolerable_sdc: int
-    per_second: float
+_GROUPS = 12
 
 
 @click.group()
@@ -50,63 +36,103 @@ def kernels() -> None:
 
 @kernels.command()
 @click.option("--kernel", "names", multiple=True, default=PAPERS, show_default=True, help="Once for each.")
-@click.option("--injections", type=click.IntRange(1, 1_000_000), default=200, show_default=True, help="Each.")
+@click.option(
+    "--injections", type=click.IntRange(1, 1_000_000), default=5000, show_default=True, help="Each."
+)
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @click.option("--slots", type=click.IntRange(1, 256), help="At a time (default: one per processor).")
 @click.option("--fault", default="", metavar="NAME=VALUE[,...]", help="What is flipped, e.g. bits=2.")
+@click.option(
+    "--output", type=click.Path(dir_okay=False, path_type=Path), help="Kept here, and gone on with."
+)
+@click.option("--by", "ways", multiple=True, type=click.Choice(list(WAYS)), help="Tables by what was struck.")
 @as_json
 def run(
-    names: tuple[str, ...], injections: int, seed: int, slots: int | None, fault: str, as_json: bool
+    names: tuple[str, ...],
+    injections: int,
+    seed: int,
+    slots: int | None,
+    fault: str,
+    output: Path | None,
+    ways: tuple[str, ...],
+    as_json: bool,
 ) -> None:
     """Strike each kernel on its recorded sample; outcomes with 95 % intervals."""
-    check_study(names)
+    for name in names:
+        check_kernel(name)
     fields = fault_fields(fault)
     faults = {name: FaultSpec.model_validate({"target": name, **fields}) for name in names}
-    lines = []
-    with Progress(console=Console(stderr=True)) as progress:
-        for name, aimed in faults.items():
-            task = progress.add_task(name, total=injections)
-            found: Counter[str] = Counter()
+    for aimed in faults.values():
+        check_machine(aimed)
+    found: dict[str, list[StudyRun]] = {}
+    summaries = []
+    with closing(StudyFile(output)) as file, Progress(console=Console(stderr=True)) as progress:
+        sections = {name: file.section(name, aimed, seed) for name, aimed in faults.items()}
+        for name, section in sections.items():
+            known = len(section.runs)
+            task = progress.add_task(name, total=injections, completed=min(known, injections))
             begin = time.monotonic()
-            for one in study(name, aimed, injections, seed, slots or len(os.sched_getaffinity(0))):
-                found[one.result] += 1
-                found["tolerable"] += one.within_tolerance
-                progress.advance(task)
-                if as_json:
+            study = Study(
+                name, faults[name], injections, seed, slots or len(os.sched_getaffinity(0)), section
+            )
+            found[name] = study.run(lambda _, task=task: progress.advance(task))  # type: ignore[misc]
+            made = max(0, len(section.runs) - known)
+            section.finish(found[name])
+            rates = made / (time.monotonic() - begin), 1e3 * study.cpu_s / made if made else 0.0
+            assert section.clock is not None  # noqa: S101 - the study is made
+            summaries.append(summarise(name, KERNELS[name].unit, found[name], section.clock, *rates))
+            if as_json:
+                for one in found[name]:
                     click.echo(one.model_dump_json(by_alias=True))
-            lines.append(_summary(name, found, injections / (time.monotonic() - begin)))
     if as_json:
-        click.echo(json.dumps({"summary": [line.model_dump() for line in lines]}))
-    else:
-        Console().print(_table(lines))
+        click.echo(json.dumps({"summary": [line.model_dump() for line in summaries]}))
+        return
+    for table in _tables(summaries, found, ways):
+        Console().print(table)
 
 
-def _summary(kernel: str, found: Counter[str], per_second: float) -> KernelSummary:
-    injected = sum(found[result] for result in RESULTS)
-    shares = {}
-    for result in RESULTS:
-        low, high = wilson(found[result], injected)
-        shares[result] = Share(count=found[result], low=low, high=high)
-    return KernelSummary(
-        kernel=kernel,
-        attempted=injected + found["not_injected"],
-        injected=injected,
-        shares=shares,
-        tolerable_sdc=found["tolerable"],
-        per_second=per_second,
-    )
+def _tables(
+    summaries: list[KernelSummary], found: dict[str, list[StudyRun]], ways: tuple[str, ...]
+) -> Iterator[Table]:
+    yield _outcomes(summaries)
+    yield _circumstances(summaries)
+    for way in ways:
+        for name, runs in found.items():
+            table = Table(title=f"{name} by {way}", box=SIMPLE)
+            for column in (way, "hit", *RESULTS):
+                table.add_column(column, justify="left" if column == way else "right")
+            for group, count, shares in divided(runs, way)[:_GROUPS]:
+                table.add_row(group, str(count), *_cells(shares, count))
+            yield table
 
 
-def _table(lines: list[KernelSummary]) -> Table:
+def _outcomes(summaries: list[KernelSummary]) -> Table:
     title = "faults in kernels alone: % of the hit ones, 95 % Wilson; tol.: SDC within tolerance"
     table = Table(title=title, box=SIMPLE)
-    for column in ("kernel", "hit", *RESULTS, "tol.", "per s"):
+    for column in ("kernel", "hit", *RESULTS, "tol."):
         table.add_column(column, justify="left" if column == "kernel" else "right")
-    for line in lines:
-        cells = [
-            f"{100 * one.count / max(line.injected, 1):.0f} {100 * one.low:.0f}-{100 * one.high:.0f}"
-            for one in line.shares.values()
-        ]
+    for line in summaries:
         count = f"{line.injected}/{line.attempted}"
-        table.add_row(line.kernel, count, *cells, str(line.tolerable_sdc), f"{line.per_second:.0f}")
+        table.add_row(line.kernel, count, *_cells(line.shares, line.injected), str(line.tolerable_sdc))
     return table
+
+
+def _circumstances(summaries: list[KernelSummary]) -> Table:
+    title = "how; drawn from: part of the call's instructions; SDC by: median, 95 %, most"
+    table = Table(title=title, box=SIMPLE)
+    for column in ("kernel", "rung", "drawn from", "SDC by", "unit", "per s", "CPU ms each"):
+        table.add_column(column, justify="left" if column in ("kernel", "unit") else "right")
+    for line in summaries:
+        rungs = ", ".join(f"{name} {count}" for name, count in line.rungs.items())
+        apart = " ".join(f"{one:.2g}" for one in line.deviations) if line.deviations else "-"
+        unit = line.unit.partition(":")[0]
+        rates = f"{line.per_second:.0f}", f"{line.cpu_ms:.1f}"
+        table.add_row(line.kernel, rungs, f"{line.covered:.0%}", apart, unit, *rates)
+    return table
+
+
+def _cells(shares: dict[str, Share], count: int) -> list[str]:
+    return [
+        f"{100 * one.count / max(count, 1):.0f} {100 * one.low:.0f}-{100 * one.high:.0f}"
+        for one in shares.values()
+    ]
