@@ -19,7 +19,8 @@ from dashboard.campaigns.records import Record
 from dashboard.campaigns.store import Store
 from services.bus import rng
 from tests.conftest import alive
-from tests.dashboard.campaigns.test_durability import ZENFI, done, workers
+from tests.dashboard.campaigns.test_durability import done, workers
+from tests.dashboard.command import ZENFI
 
 SPEC = {
     "name": "fire",
@@ -41,9 +42,9 @@ def start(store: Path, *arguments: str) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def undisturbed(store: Path, path: str, slots: int) -> float:
+def undisturbed(store: Path, path: str, slots: int, *arguments: str) -> float:
     """Wall time from the first result to the last, in s."""
-    with start(store, "run", path, "--slots", str(slots)) as command:
+    with start(store, "run", path, "--slots", str(slots), *arguments) as command:
         while not done(store) and command.poll() is None:
             time.sleep(0.02)
         begin = time.monotonic()
