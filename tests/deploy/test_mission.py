@@ -11,7 +11,7 @@ import pytest
 from deploy.forkserver import ForkServer
 from deploy.mission import Flight, fly
 from services.bus.mission import Limits, MissionSpec
-from tests.conftest import cpu_s, descendants, folders, node, segments, wait_until
+from tests.conftest import cpu_s, folders, forked, node, segments, wait_until
 
 SPEC = MissionSpec(world="sparse", seed=7)
 
@@ -74,7 +74,7 @@ def kill_in_mid_flight(name: str) -> None:
 
 
 def assert_nothing_is_left(server: ForkServer) -> None:
-    assert not descendants(server.pid)
+    assert not forked(server.pid)
     assert not folders(os.getpid())
     assert not segments()
 

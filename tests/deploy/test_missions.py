@@ -16,9 +16,20 @@ def flown(server: ForkServer, **fields: object) -> Outcome:
     return fly(MissionSpec.model_validate({"seed": 7, **fields}), server).outcome
 
 
-@pytest.mark.parametrize("mission", ["scanning", "mapping", "search"])
-def test_a_mission_over_an_area_succeeds_by_its_own_kernel(mission: str, server: ForkServer) -> None:
-    outcome = flown(server, mission=mission, area=SMALL)
+OVER_AN_AREA = ("scanning", "mapping", "search")
+
+
+@pytest.fixture(scope="module")
+def over_an_area(server: ForkServer) -> dict[str, Outcome]:
+    """A flight of each mission."""
+    return {mission: flown(server, mission=mission, area=SMALL) for mission in OVER_AN_AREA}
+
+
+@pytest.mark.parametrize("mission", OVER_AN_AREA)
+def test_a_mission_over_an_area_succeeds_by_its_own_kernel(
+    mission: str, over_an_area: dict[str, Outcome]
+) -> None:
+    outcome = over_an_area[mission]
     assert outcome.result == "success"
     assert {"lawn_mower", "frontier"} & set(outcome.nodes["planning"].kernels) == {GOAL_KERNELS[mission]}
     assert outcome.topics["task"].messages == 1
@@ -35,10 +46,9 @@ def test_a_delivery_flies_there_and_back_and_needs_no_kernel_for_that(server: Fo
     assert navigation.topics["task"].messages == 0
 
 
-def test_a_mission_repeats(server: ForkServer) -> None:
-    first, second = (flown(server, mission="mapping", area=SMALL) for _ in range(2))
-    assert first.digest == second.digest
-    assert first.digest != flown(server, mission="search", area=SMALL).digest
+def test_a_mission_repeats(over_an_area: dict[str, Outcome], server: ForkServer) -> None:
+    again = flown(server, mission="mapping", area=SMALL)
+    assert over_an_area["mapping"].digest == again.digest != over_an_area["search"].digest
 
 
 def test_a_flight_with_prm_star_arrives_and_repeats(server: ForkServer) -> None:

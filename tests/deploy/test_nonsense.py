@@ -17,7 +17,7 @@ from services.bus.safety import SPEED_LIMIT_M_S
 from services.bus.topics import TOPICS
 from services.control.pid import YAW_RATE_LIMIT_RAD_S
 
-SPEC = MissionSpec(world="dense", seed=2, limits=Limits(mission_time_s=40.0))
+SPEC = MissionSpec(world="dense", seed=2, limits=Limits(mission_time_s=15.0))
 
 
 def commands(messages: Sequence[Stamped]) -> NDArray[np.float64]:

@@ -4,8 +4,11 @@ import pytest
 
 from deploy.forkserver import ForkServer
 from deploy.pairing import Pairs
-from services.bus.mission import FaultSpec, MissionSpec
+from services.bus.mission import FaultSpec, Limits, MissionSpec
 from services.kernels import KERNELS
+
+SHORT = Limits(mission_time_s=6.0)
+"""Every kernel is called in this time."""
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +21,7 @@ def pairs(server: ForkServer) -> Pairs:
 )
 def test_all_of_an_injection_but_the_flip_is_benign(pairs: Pairs, target: str) -> None:
     fault = FaultSpec(target=target, model="none", seed=4)
-    outcome = pairs.fly(MissionSpec(seed=7, fault=fault))
+    outcome = pairs.fly(MissionSpec(seed=7, fault=fault, limits=SHORT))
     assert outcome.golden is not None
     assert outcome.injection is not None
     assert outcome.injection.status in ("not_activated", "not_reached")
@@ -30,7 +33,7 @@ def test_all_of_an_injection_but_the_flip_is_benign(pairs: Pairs, target: str) -
 
 def test_the_record_says_which_fault_it_was(pairs: Pairs) -> None:
     fault = FaultSpec(target="rrt_star", model="opcode", scope="kernel", seed=1)
-    injection = pairs.fly(MissionSpec(seed=7, fault=fault)).injection
+    injection = pairs.fly(MissionSpec(seed=7, fault=fault, limits=SHORT)).injection
     assert injection is not None
     assert (injection.model, injection.scope) == ("opcode", "kernel")
     if injection.status == "injected":

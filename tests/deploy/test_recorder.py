@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deploy.recorder import Recorder, first_divergence_ns
+from deploy.recorder import Divergence, Recorder, Trace
 from services.bus.horizon import NEVER_NS, Stamped
 from services.bus.messages import Horizon, encode
 from services.bus.topics import HORIZON_TYPE, RECORDED, STAGES, published_by
@@ -43,9 +43,9 @@ def test_what_is_ready_after_the_end_does_not_count() -> None:
 
 
 def test_a_flight_that_ends_earlier_diverges_where_its_twin_goes_on() -> None:
-    assert first_divergence_ns([0], [b"a"], [0, 40], [b"a", b"b"]) == 40
-    assert first_divergence_ns([0, 40], [b"a", b"b"], [0], [b"a"]) == 40
-    assert first_divergence_ns([0], [b"a"], [0], [b"a"]) is None
+    one, two = Trace({"x": [0]}, {"x": [b"a"]}), Trace({"x": [0, 40]}, {"x": [b"a", b"b"]})
+    assert one.divergence("x", two) == two.divergence("x", one) == Divergence(1, 40)
+    assert one.divergence("x", one) is None
 
 
 def test_complete_means_that_every_topic_is_silent_beyond_the_end() -> None:

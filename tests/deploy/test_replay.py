@@ -11,15 +11,16 @@ from click.testing import CliRunner
 
 from dashboard.cli import zenfi
 from deploy.forkserver import ForkServer
-from deploy.mission import fly
+from deploy.mission import as_stages_know_it, fly
 from deploy.pairing import Pairs
 from deploy.replay import replay
 from deploy.supervisor import InfrastructureError
-from services.bus.mission import FaultSpec, MissionSpec, Site, Trigger
+from services.bus.mission import FaultSpec, Limits, MissionSpec, Site, Trigger
 from services.bus.outcome import Outcome
-from tests.conftest import descendants, node, wait_until
+from tests.conftest import descendants, forked, node, wait_until
 
-SPEC = MissionSpec(seed=7, fault=FaultSpec(target="pid", register_class="vector", seed=2))
+SHORT = MissionSpec(seed=7, limits=Limits(mission_time_s=6.0))
+SPEC = SHORT.model_copy(update={"fault": FaultSpec(target="pid", register_class="vector", seed=2)})
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +58,7 @@ def test_the_outcome_says_at_which_instruction_the_fault_struck(first: Outcome, 
     assert first.injection.trigger == (first.spec.fault.trigger if first.spec.fault is not None else None)
     assert site(first).code
     assert site(first).registers
-    assert not descendants(server.pid)  # scouts and all
+    assert not forked(server.pid)  # scouts and all
 
 
 def test_an_injected_flight_repeats(first: Outcome, server: ForkServer) -> None:
@@ -89,7 +90,7 @@ def test_the_command_answers_for_each_flight(first: Outcome, tmp_path: Path) -> 
 
 def test_a_fault_at_a_time_of_the_flight_strikes_the_next_call(pairs: Pairs) -> None:
     fault = FaultSpec(target="octomap", seed=1, trigger=Trigger(over="time", cpu_ns=100_000))
-    outcome = pairs.fly(MissionSpec(seed=7, fault=fault))
+    outcome = pairs.fly(SHORT.model_copy(update={"fault": fault}))
     record = outcome.injection
     assert record is not None
     assert record.trigger is not None
@@ -110,7 +111,7 @@ def test_what_is_no_outcome_is_refused(text: str, says: str, tmp_path: Path) -> 
     assert says in str(answer.exception)
 
 
-SCOUTED = MissionSpec(seed=7, fault=FaultSpec(target="point_cloud", trigger=Trigger(invocation=5)))
+SCOUTED = SHORT.model_copy(update={"fault": FaultSpec(target="point_cloud", trigger=Trigger(invocation=5))})
 
 
 def kill_while_scouting(victim: str) -> None:
@@ -132,7 +133,7 @@ def test_an_injector_that_is_killed_while_it_scouts_leaves_nobody(server: ForkSe
     with pytest.raises(InfrastructureError, match="the injector died"):
         fly(SCOUTED, server)
     killer.join()
-    assert not descendants(server.pid)
+    assert not forked(server.pid)
 
 
 def test_a_node_that_is_killed_while_it_scouts_is_a_result(server: ForkServer) -> None:
@@ -143,4 +144,16 @@ def test_a_node_that_is_killed_while_it_scouts_is_a_result(server: ForkServer) -
     assert outcome.nodes["perception"].causes == ["SIGKILL"]
     assert outcome.injection is not None
     assert outcome.injection.status == "not_reached"
-    assert not descendants(server.pid)
+    assert not forked(server.pid)
+
+
+def test_stages_are_told_no_more_of_a_replayed_fault_than_of_the_first(first: Outcome) -> None:
+    """What they are told lies in their memory, which has to be the same."""
+    before = altered(first, code="", registers="").spec
+    assert first.spec != before
+    assert as_stages_know_it(first.spec) == as_stages_know_it(before)
+    fault = as_stages_know_it(first.spec).fault
+    assert fault is not None
+    assert fault.trigger is not None
+    assert first.injection is not None
+    assert fault.trigger.names(first.injection.invocation, 0)

@@ -5,16 +5,22 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from scipy.stats import chisquare
 
 from injector import scout as scouting
-from injector.scout import approach, rarest, survey
+from injector.process import Process
+from injector.scout import Scout, approach, rarest, survey
 from services.bus.mission import FaultSpec, Site, Trigger
 from services.bus.rng import generator
 from tests.conftest import alive, descendants, wait_until
-from tests.injector.calls import LOOP, caller
+from tests.injector.calls import LOOP, Caller, caller
 
 pytestmark = pytest.mark.usefixtures("may_inject")
 
@@ -107,6 +113,63 @@ def test_a_long_call_is_struck_by_occurrence() -> None:
         assert trigger.site is not None
         assert trigger.site.rung == "occurrence"
         assert one.inject(FaultSpec(target="kernel", trigger=trigger)).status == "injected"
+
+
+def in_its_own_code(one: Caller) -> Callable[[Process], Callable[[int], bool]]:
+    """The machine code of the call: four bytes before the loop, six after its first instruction."""
+    return lambda _: lambda address: one.loop - 4 <= address < one.loop + 8
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded(Scout):
+    """A scout whose call is run once, for many draws."""
+
+    every: list[int]
+
+    def run(self) -> int:
+        return 0
+
+    def trace(self, most: int) -> tuple[list[int], bool]:
+        assert most > len(self.every)
+        return self.every, True
+
+
+def test_within_a_scope_the_exact_rung_draws_all_its_instructions_alike() -> None:
+    passes, draws = 5, 200
+    with caller(passes) as one, one.ahead() as scout:
+        every, ended = scout.trace(scouting.MOST_STEPS)
+        assert ended
+        own = [step for step, address in enumerate(every) if one.loop - 4 <= address < one.loop + 8]
+        assert len(own) == 2 + 3 * passes + 1
+        assert len(every) > 2 * len(own)
+        recorded = Recorded(scout.tracees, scout.thread, scout.process, every)
+        draw, drawn = generator(0, "scope"), Counter[int]()
+        for _ in range(draws):
+            trigger = survey(lambda: nullcontext(recorded), Trigger(), draw, in_its_own_code(one))
+            assert trigger.site is not None
+            assert trigger.site.step is not None
+            drawn[trigger.site.step] += 1
+        assert set(drawn) <= set(own)
+        assert chisquare([drawn[step] for step in own]).pvalue > 0.01
+
+
+@pytest.mark.parametrize(("passes", "rung"), [(PASSES, "exact"), (60_000, "occurrence")])
+def test_within_a_scope_the_site_is_there_whatever_the_rung(passes: int, rung: str) -> None:
+    struck = 0
+    for seed in range(12):
+        with caller(passes) as one:
+            trigger = survey(one.scouts, Trigger(invocation=0), generator(seed, "site"), in_its_own_code(one))
+            if trigger.site is None:  # so short a call may be over before the drawn moment of it
+                assert rung == "occurrence"
+                continue
+            assert trigger.site.rung == rung
+            record = one.inject(FaultSpec(target="kernel", operand="source", trigger=trigger), seed)
+            assert record.status == "injected"
+            assert record.instruction.split()[0] in ("xor", "mov", "add", "dec", "jne", "ret")
+            struck += 1
+        if struck == 2:
+            return
+    pytest.fail("struck too seldom")
 
 
 def test_a_call_that_is_over_before_the_pass_is_not_reached() -> None:

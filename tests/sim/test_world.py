@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from services.bus.safety import BODY_RADIUS_M
 from services.bus.world import BoxWorld
 from sim.world import (
     DEFINITION,
     KEEP_OUT_M,
-    SAFETY_RADIUS_M,
     BadWorldError,
     World,
     definition,
@@ -73,7 +73,7 @@ def test_obstacles_are_the_papers(worlds: list[World]) -> None:
 def test_something_always_stands_in_the_straight_way(worlds: list[World]) -> None:
     for world in worlds:
         line = world.start + np.linspace(0.0, 1.0, 501)[:, None] * (world.goal - world.start)
-        assert distances(world, line).min() <= SAFETY_RADIUS_M + 0.1
+        assert distances(world, line).min() <= BODY_RADIUS_M + 0.1
 
 
 def test_nobody_changes_a_world(worlds: list[World]) -> None:
@@ -91,9 +91,9 @@ def test_every_world_that_comes_along_has_its_ends_free_and_something_in_the_way
     for name in world_names():
         for seed in range(5):
             world = make_world(name, seed)
-            assert distances(world, np.stack([world.start, world.goal])).min() >= SAFETY_RADIUS_M
+            assert distances(world, np.stack([world.start, world.goal])).min() >= BODY_RADIUS_M
             line = world.start + np.linspace(0.0, 1.0, 501)[:, None] * (world.goal - world.start)
-            assert distances(world, line).min() <= SAFETY_RADIUS_M + 0.1
+            assert distances(world, line).min() <= BODY_RADIUS_M + 0.1
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from services.bus.safety import BRAKE_BELOW_S
-from services.control.follower import WAYPOINT_FIELDS, Follower, waypoints
+from services.control.follower import WAYPOINT_FIELDS, Follower, past, waypoints
+from services.control.pid import state_at
 
 HERE = np.array([0.0, 0.0, 3.0])
 FAST = np.array([3.0, 0.0, 0.0])
@@ -139,6 +140,25 @@ def test_a_skipped_waypoint_is_not_flown_to(flying: Follower) -> None:
     ahead = flying.command(1.1, position, velocity, 0.0, 0.04)
     assert abs(aside[1]) > 1.0
     assert ahead == pytest.approx([3.0, 0.0, 0.0, 0.0], abs=0.05)
+
+
+def test_the_way_past_a_waypoint_is_the_one_without_it() -> None:
+    rows = eastwards()
+    rows[:, 3] = 3.0 + 0.1 * rows[:, 0] ** 2
+    rows[:, 6] = 0.2 * rows[:, 0]
+    rows[4:, 10] = 0.5
+    bridged, bare = past(rows, 5), np.delete(rows, 5, axis=0)
+    assert bridged[:, 0].tolist() == rows[:, 0].tolist()
+    for now_s in np.linspace(rows[4, 0], rows[6, 0], 21, endpoint=False):
+        np.testing.assert_allclose(state_at(bridged, now_s), state_at(bare, now_s), atol=1e-9)
+
+
+def test_of_neighbouring_waypoints_one_is_dropped(flying: Follower) -> None:
+    bad = eastwards()
+    bad[4, 2] = 40.0  # the row behind
+    assert flying.take_trajectory(2, 0, bad)
+    flying.command(1.1, np.array([3.3, 0.0, 3.0]), FAST, 0.0, 0.04)
+    assert [flying.skip_waypoint(now_s) for now_s in (1.1, 1.14, 1.3, 1.6)] == [True, False, False, True]
 
 
 def test_without_a_next_waypoint_it_stops(flying: Follower) -> None:

@@ -1,0 +1,94 @@
+"""The state of stacks on Zenoh, on this machine and between supervisors."""
+
+import shutil
+import socket
+import subprocess
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from deploy.compose.bus import STATE, all_stacks, changes_key
+from deploy.compose.view import ProcessView, StackView
+from services.bus.session import Meeting, open_session
+from tests.conftest import PATIENCE_S, wait_until
+from tests.deploy.compose.conftest import SLEEP, Laboratory
+
+OPENSSL = shutil.which("openssl") or ""
+
+
+def test_state_is_queried_and_changes_are_published(laboratory: Laboratory) -> None:
+    view = laboratory.up({"x": {"command": SLEEP}})
+    laboratory.phase("x", "ready")
+    with open_session(Meeting(view.folder, view.namespace), "looker") as session:
+        replies = [reply.ok for reply in session.get(STATE, timeout=PATIENCE_S) if reply.ok is not None]
+        told = StackView.model_validate_json(replies[0].payload.to_bytes())
+        assert [(one.name, one.phase) for one in told.processes] == [("x", "ready")]
+        heard: list[zenoh.Sample] = []
+        with session.declare_subscriber(changes_key("*"), heard.append):
+
+            def restarted() -> bool:
+                laboratory.ask("restart", "x")
+                return len(heard) > 3
+
+            wait_until(restarted, PATIENCE_S)
+        changes = [ProcessView.model_validate_json(sample.payload.to_bytes()) for sample in heard]
+        assert {change.name for change in changes} == {"x"}
+        assert {"stopping", "starting"} <= {change.phase for change in changes}
+
+
+def test_supervisors_find_each_other_over_an_endpoint(laboratory: Laboratory) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    # The one that connects comes first: it must go on trying.
+    first = laboratory.up({"x": {"command": SLEEP}}, name="first", bus={"connect": [endpoint]})
+    second = laboratory.up({"y": {"command": SLEEP}}, name="second", bus={"listen": [endpoint]})
+    for view in (first, second):
+        wait_until(lambda folder=view.folder: len(all_stacks(folder)) == 2, PATIENCE_S)  # type: ignore[misc]
+    assert [view.name for view in all_stacks(first.folder)] == ["first", "second"]
+
+
+@pytest.mark.skipif(not OPENSSL, reason="openssl makes the certificates")
+def test_over_tls_only_who_has_a_certificate_is_let_in(laboratory: Laboratory) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tls/localhost:{free.getsockname()[1]}"
+    certified = _certificates(laboratory.folder)
+    outsider = {"root_ca_certificate": certified["root_ca_certificate"]}
+    processes = {"x": {"command": SLEEP}}
+    first = laboratory.up(processes, name="first", bus={"listen": [endpoint], **certified})
+    stranger = laboratory.up(processes, name="stranger", bus={"connect": [endpoint], **outsider})
+    second = laboratory.up(processes, name="second", bus={"connect": [endpoint], **certified})
+    wait_until(lambda: len(all_stacks(first.folder)) > 1, PATIENCE_S)
+    assert [view.name for view in all_stacks(second.folder)] == ["first", "second"]
+    assert [view.name for view in all_stacks(stranger.folder)] == ["stranger"]
+
+
+def _certificates(folder: Path) -> dict[str, str]:
+    """A certificate authority and one certificate of it, for both ends."""
+    (folder / "more").write_text("subjectAltName=DNS:localhost\nextendedKeyUsage=serverAuth,clientAuth\n")
+    for command in (
+        "req -x509 -newkey rsa:2048 -nodes -keyout ca-key.pem -out ca.pem -days 2 -subj /CN=test",
+        "req -newkey rsa:2048 -nodes -keyout key.pem -out request.pem -subj /CN=localhost",
+        "x509 -req -in request.pem -CA ca.pem -CAkey ca-key.pem -CAcreateserial -extfile more -out own.pem",
+    ):
+        subprocess.run([OPENSSL, *command.split()], cwd=folder, check=True, capture_output=True)
+    names = {"root_ca_certificate": "ca.pem", "certificate": "own.pem", "private_key": "key.pem"}
+    return {field: str(folder / name) for field, name in names.items()}
+
+
+def test_a_supervisor_listens_on_no_network_by_itself(laboratory: Laboratory) -> None:
+    view = laboratory.up({"x": {"command": SLEEP}})
+    laboratory.phase("x", "ready")
+    held = {entry.readlink().name for entry in _descriptors(view.pid)}
+    inodes = {line.split()[9] for kind in ("tcp", "tcp6", "udp", "udp6") for line in _sockets(kind)}
+    assert not {f"socket:[{inode}]" for inode in inodes} & held
+
+
+def _descriptors(pid: int) -> list[Path]:
+    return list(Path(f"/proc/{pid}/fd").iterdir())
+
+
+def _sockets(kind: str) -> list[str]:
+    return Path(f"/proc/net/{kind}").read_text().splitlines()[1:]

@@ -1,0 +1,126 @@
+"""A node and its courier live and die together, and nothing that a dying node said is lost."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from deploy.forkserver import ForkServer
+from deploy.mission import fly
+from deploy.stack import STACK
+from deploy.supervisor import InfrastructureError
+from services.bus.mission import MissionSpec
+from tests.conftest import alive, cpu_s, descendants, forked, node, wait_until
+from tests.deploy.test_mission import assert_nothing_is_left, fly_and, load
+
+SPEC = MissionSpec(world="sparse", seed=7)
+
+
+def couriers(pid: int) -> list[int]:
+    return [one for one, name in descendants(pid).items() if name.startswith("courier-")]
+
+
+def in_mid_flight(pid: int) -> None:
+    def flying() -> bool:
+        sim = node(pid, "sim")
+        return sim is not None and cpu_s(sim) > 0.12
+
+    wait_until(flying)
+
+
+def test_each_node_has_one_thread_and_a_courier_for_its_parent(server: ForkServer) -> None:
+    seen: list[tuple[int, int]] = []
+
+    def look() -> None:
+        in_mid_flight(os.getpid())
+        for name in ("sim", "perception", "planning", "control"):
+            pid = node(os.getpid(), name)
+            assert pid is not None
+            threads = len(list(Path(f"/proc/{pid}/task").iterdir()))
+            parent = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+            seen.append((threads, parent))
+
+    def watched() -> None:
+        look()
+        seen.extend((0, one) for one in couriers(os.getpid()))
+
+    fly_and(server, SPEC, watched)
+    nodes, courier_pids = seen[:4], {pid for _, pid in seen[4:]}
+    assert {threads for threads, _ in nodes} == {1}
+    assert {parent for _, parent in nodes} == courier_pids
+    assert len(courier_pids) == 4
+
+
+def test_a_courier_that_dies_is_our_failure(server: ForkServer) -> None:
+    failures: list[str] = []
+
+    def fly_until_it_fails() -> None:
+        try:
+            fly(SPEC, server)
+        except InfrastructureError as error:
+            failures.append(str(error))
+
+    flight = threading.Thread(target=fly_until_it_fails)
+    flight.start()
+    in_mid_flight(os.getpid())
+    os.kill(couriers(os.getpid())[0], signal.SIGKILL)
+    flight.join()
+    assert len(failures) == 1
+    assert "courier" in failures[0]
+    wait_until(lambda: not forked(server.pid))
+    assert fly(SPEC, server).outcome.result == "success"
+    assert_nothing_is_left(server)
+
+
+_FLIER = """
+from deploy.forkserver import ForkServer
+from deploy.mission import fly
+from deploy.stack import STACK
+from services.bus.mission import MissionSpec
+while True:
+    fly(MissionSpec(world="sparse", seed=7), ForkServer())
+"""
+
+
+@pytest.mark.parametrize("victim", ["supervisor", "fork server"])
+def test_nobody_outlives_a_killed_parent(victim: str) -> None:
+    supervisor = subprocess.Popen(
+        [sys.executable, "-c", _FLIER], stderr=subprocess.DEVNULL, cwd=Path(__file__).parents[2]
+    )
+    try:
+        in_mid_flight(supervisor.pid)
+        family = descendants(supervisor.pid)
+        server = next(pid for pid, name in family.items() if "-" not in name)
+        os.kill(supervisor.pid if victim == "supervisor" else server, signal.SIGKILL)
+        wait_until(lambda: not any(alive(pid) for pid in family))
+    finally:
+        supervisor.kill()
+        supervisor.wait()
+
+
+def memory_of_control(server: ForkServer) -> str:
+    with pytest.raises(InfrastructureError, match="memory") as failure:
+        fly(SPEC, server)
+    return str(failure.value)
+
+
+def test_the_memory_of_a_node_is_that_of_every_flight() -> None:
+    """Whatever was flown before, on a loaded machine, on another fork server."""
+    stack = {**STACK, "control": replace(STACK["control"], module="tests.fixtures.nodes.surveyed")}
+    # The first server may have something to compile, which is then where it will not be again.
+    ForkServer(stack).close()
+    server, other = ForkServer(stack), ForkServer(stack)
+    try:
+        first = memory_of_control(server)
+        assert memory_of_control(server) == first
+        with load(2):
+            assert memory_of_control(server) == first
+        assert memory_of_control(other) == first
+    finally:
+        server.close()
+        other.close()

@@ -1,0 +1,101 @@
+"""A call of a small C kernel in a fork of the test, which stands at its beginning to be copied."""
+
+from __future__ import annotations
+
+import ctypes
+import faulthandler
+import os
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from injector.copies import Copies
+from injector.freeze import Thread, Tracees
+from injector.ptrace import wait_until
+from injector.subject import MARK
+from injector.vdso import clocks_by_system_calls
+
+PATIENCE_S = 60.0
+
+_CALL = """
+#include <signal.h>
+double kernel(void);
+double call(void) { raise(SIGURG); double result = kernel(); raise(SIGURG); return result; }
+"""
+
+
+class Standing(NamedTuple):
+    """A process at the beginning of its call; it tells the result on a pipe."""
+
+    tracees: Tracees
+    copies: Copies
+    root: Thread
+    results: int
+
+    def trace(self) -> list[int]:
+        """The address of every instruction of the call, by single steps."""
+        copy = self.copies.copy(self.root)
+        found = self.tracees.trace(copy, 10**6)
+        assert copy.report is not None
+        assert copy.report.kind == "gate"
+        self.copies.end(copy)
+        return found
+
+    def result(self, copy: Thread) -> float | None:
+        """Let a copy run to its end; what its kernel returned, None if it died before."""
+        while copy.tid in self.tracees.threads:
+            self.tracees.service()
+            if copy.report is not None:
+                self.tracees.resume(copy)
+        with suppress(BlockingIOError):
+            return float(os.read(self.results, 64))
+        return None
+
+
+@contextmanager
+def standing(folder: Path, kernel: str) -> Iterator[Standing]:
+    """The process; gone afterwards, with its copies."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler (cc) on this machine")
+    (folder / "kernel.c").write_text(_CALL + kernel)
+    library = folder / "kernel.so"
+    command = [compiler, "-O1", "-fno-stack-protector", "-fcf-protection=none", "-shared", "-fPIC", "-o"]
+    subprocess.run([*command, library, folder / "kernel.c"], check=True)
+    call = ctypes.CDLL(str(library)).call
+    call.restype = ctypes.c_double
+    results, tell = os.pipe()
+    os.set_blocking(results, False)
+    waits, go = os.pipe()
+    pid = os.fork()
+    if not pid:
+        faulthandler.disable()
+        clocks_by_system_calls()
+        os.read(waits, 1)
+        os.write(tell, f"{call():.17g}".encode())
+        os._exit(0)
+    try:
+        with Tracees(MARK, forks=True, ours=True) as tracees:
+            tracees.seize([pid])
+            os.write(go, b"x")
+            root = tracees.threads[pid]
+
+            def there() -> bool | None:
+                tracees.service()
+                return True if root.report is not None else None
+
+            assert wait_until(there, PATIENCE_S)
+            copies = Copies(tracees)
+            yield Standing(tracees, copies, root, results)
+            for one in list(tracees.threads.values()):
+                copies.end(one)
+    finally:
+        for descriptor in (results, tell, waits, go):
+            os.close(descriptor)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGCHLD})

@@ -1,0 +1,62 @@
+"""Processes that have the same pids each time, made as a fork server makes them, by root and by a user."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+NOBODY = 65534
+
+TELLING = """
+import os, sys
+from threading import get_native_id
+from injector.own_pids import OWN_PIDS
+from services.bus.process_stat import listed_pid
+
+if not OWN_PIDS.begin():
+    sys.exit(os.EX_NOPERM)
+for _ in range(3):
+    keeper = OWN_PIDS.fork()
+    if not keeper:
+        waits, go = os.pipe()
+        node = os.fork()
+        if not node:
+            os.read(waits, 1)
+            print(os.getpid(), get_native_id(), os.getppid(), os.readlink("/proc/self"), flush=True, end=" ")
+            os.abort()
+        print(os.getpid(), node, listed_pid(node), flush=True, end=" ")
+        os.write(go, b"+")
+        print(os.waitstatus_to_exitcode(os.waitpid(node, 0)[1]), flush=True)
+        os._exit(0)
+    os.waitpid(keeper, 0)
+"""
+
+
+@pytest.mark.parametrize("user", [None, NOBODY])
+def test_each_time_the_pids_are_the_same(user: int | None) -> None:
+    if user is not None and os.getuid():
+        pytest.skip("only root can be another user")
+    told = subprocess.run(
+        [sys.executable, "-B", "-c", TELLING],
+        env={"PYTHONPATH": f"{ROOT}:{os.pathsep.join(sys.path)}"},
+        cwd="/",
+        capture_output=True,
+        text=True,
+        check=False,
+        user=user,
+        group=user,
+        extra_groups=None if user is None else [],
+    )
+    if told.returncode == os.EX_NOPERM:
+        pytest.skip("no pid namespaces here")
+    assert not told.stderr
+    rounds = [list(map(int, line.split())) for line in told.stdout.splitlines()]
+    # Keeper and node as the keeper sees them; pid, tid and parent as the node does; its end is what it was.
+    assert [[*one[:2], *one[3:6], one[7]] for one in rounds] == [[1, 2, 2, 2, 1, -signal.SIGABRT]] * 3
+    outside = [(one[2], one[6]) for one in rounds]
+    assert len(set(outside)) == 3
+    assert all(said_by_keeper == said_by_proc for said_by_keeper, said_by_proc in outside)

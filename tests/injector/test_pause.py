@@ -1,0 +1,81 @@
+"""In a pause nobody else holds us up, and nothing is done that could have been done before."""
+
+import os
+
+import pytest
+
+from injector.freeze import Tracees
+from injector.inject import registers_of
+from injector.pause import Pause
+from injector.process import threads
+from injector.strike import strike
+from services.bus.rng import generator
+from tests.injector.programs import assemble, running, state
+from tests.injector.test_strike import MOVE, VALUE, fault, held, step_to
+
+pytestmark = pytest.mark.usefixtures("may_inject")
+
+
+def real_time_is_granted() -> bool:
+    pause = Pause()
+    pause.begin()
+    try:
+        return os.sched_getscheduler(0) == os.SCHED_FIFO
+    finally:
+        pause.end()
+
+
+def test_the_injector_has_real_time_priority_in_a_pause_and_never_after_it() -> None:
+    usual = os.SCHED_OTHER, os.nice(0)  # also after the pauses of tests before
+    granted = real_time_is_granted()
+    with running(assemble(), threads=2) as target:
+        target.start()
+        with Tracees() as tracees:
+            tracees.seize([target.pid])
+            assert os.sched_getscheduler(0) == usual[0]
+            tracees.stop_all()
+            assert os.sched_getscheduler(0) == (os.SCHED_FIFO if granted else usual[0])
+            tracees.resume_all()
+            assert (os.sched_getscheduler(0), os.nice(0)) == usual
+            tracees.stop_all()
+        assert (os.sched_getscheduler(0), os.nice(0)) == usual
+        assert tracees.pause_us > 0
+
+
+def test_without_the_right_to_real_time_priority_a_pause_is_as_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    with running(assemble(), threads=2) as target, Tracees() as tracees:
+        target.start()
+        tracees.seize([target.pid])
+        tracees.stop_all()
+        assert {state(tid) for tid in threads(target.pid)} == {"t"}
+        tracees.resume_all()
+        assert tracees.pause_us > 0
+        target.wait_for_progress(1)
+
+
+@pytest.mark.parametrize("operand", ["source", "destination"])
+def test_what_is_struck_is_drawn_before_the_others_are_stopped(operand: str) -> None:
+    """They are stopped once, and at that moment nothing has been changed or executed."""
+    found_there: list[tuple[int, int]] = []
+    draw = generator(1, "test")
+    with running(assemble(after=[MOVE])) as target:
+        target.start({"rcx": VALUE})
+        with held(target) as (tracees, thread, process):
+            target.go()
+            step_to("mov rbx,rcx", tracees, thread, process)
+
+            def stop() -> None:
+                assert repr(draw.bit_generator.state) != untouched
+                registers = registers_of(thread)
+                found_there.append((registers.program_counter, registers.get("rcx")))
+
+            place, untouched = registers_of(thread).program_counter, repr(draw.bit_generator.state)
+            found = strike(tracees, thread, process, fault(operand, "gpr"), draw, stop=stop)  # type: ignore[arg-type]
+        target.finish()
+        assert found is not None
+        assert found.status == "injected"
+        assert found_there == [(place, VALUE)]

@@ -1,0 +1,64 @@
+"""Processes that begin with the same memory, whoever starts them and whatever lies about."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from injector import pristine
+
+ROOT = Path(__file__).parents[2]
+TELLING = """
+import ctypes, os
+libc = ctypes.CDLL(None)
+libc.getauxval.restype = libc.malloc.restype = ctypes.c_void_p
+random = ctypes.string_at(libc.getauxval(25), 16).hex()
+block = libc.malloc(24)
+libc.free(ctypes.c_void_p(block))
+print(os.urandom(8).hex())
+print(random, ctypes.string_at(block + 8, 8).hex(), hex(block), hex(id(object())))
+"""
+
+
+def told(folder: Path, module: str = "telling.told") -> str:
+    surroundings = pristine.environment(os.environ) | {"PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"}
+    command = pristine.command(module)
+    return subprocess.run(
+        command, env=surroundings, cwd=folder, capture_output=True, text=True, check=True
+    ).stdout
+
+
+def package(folder: Path) -> Path:
+    (folder / "telling").mkdir()
+    (folder / "telling" / "__init__.py").touch()
+    (folder / "telling" / "told.py").write_text(TELLING)
+    told(folder)  # compiles
+    return folder
+
+
+def test_the_keys_and_the_addresses_are_those_of_every_other(tmp_path: Path) -> None:
+    folder = package(tmp_path)
+    keys = told(folder).split()
+    assert told(folder).split() == keys
+    # Here they are others each time, but for where things lie.
+    drawn = [subprocess.check_output([sys.executable, "-c", TELLING], text=True).split() for _ in range(2)]
+    assert all(one != other for one, other, key in zip(*drawn, keys, strict=True) if not key.startswith("0x"))
+
+
+def test_a_file_beside_our_packages_changes_nothing(tmp_path: Path) -> None:
+    folder = package(tmp_path)
+    before = told(folder)
+    for number in range(500):
+        (folder / f"a_recording_{number}").touch()
+    assert told(folder) == before
+
+
+def test_it_says_how_often_it_has_begun(tmp_path: Path) -> None:
+    folder = package(tmp_path)
+    (folder / "telling" / "twice.py").write_text(
+        "import sys\n"
+        "from injector.pristine import FIRST, begin_again\n"
+        "print(*sys.argv[1:], flush=True)\n"
+        "if sys.argv[1] == FIRST: begin_again('telling.twice', 'x')\n"
+    )
+    assert told(folder, "telling.twice") == "first\nagain x\n"
