@@ -10,7 +10,12 @@ import pytest
 from hypothesis import settings
 
 from deploy.forkserver import ForkServer
+from deploy.mould import SIDE_SERVER
 from deploy.scratch import PREFIX
+from injector.own_pids import CALLER
+
+PATIENCE_S = 300.0
+"""For what comes in the end, on however busy a machine; not for what would end by itself in that time."""
 
 # No test asserts wall time, also not hypothesis' own deadline.
 settings.register_profile("zenfi", deadline=None)
@@ -25,7 +30,7 @@ def server() -> Iterator[ForkServer]:
     fork_server.close()
 
 
-def wait_until(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
+def wait_until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
     """Wait for something that happens in another process; fail if it does not."""
     deadline = time.monotonic() + timeout_s
     while not condition():
@@ -54,6 +59,11 @@ def descendants(pid: int) -> dict[int, str]:
             found[child] = name
             waiting.append(child)
     return found
+
+
+def forked(server: int) -> dict[int, str]:
+    """What a fork server has forked for flights, by pid: all but the processes that fork on its behalf."""
+    return {pid: name for pid, name in descendants(server).items() if name not in (SIDE_SERVER, CALLER)}
 
 
 def node(supervisor: int, name: str) -> int | None:

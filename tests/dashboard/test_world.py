@@ -4,43 +4,21 @@ from __future__ import annotations
 
 import json
 import struct
-import sys
 import tomllib
 import xml.etree.ElementTree as ET
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dashboard.cli import main
 from deploy.forkserver import ForkServer
 from deploy.mission import fly
 from services.bus.mission import MissionSpec
 from services.kernels import KERNELS
 from sim.airframe import airframe
 from sim.world import DEFINITION, make_world, to_toml
-from tests.dashboard.test_cli import zenfi
-
-Refused = Callable[..., str]
-
-
-@pytest.fixture
-def refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Refused:
-    """Runs the command, which must end with status 2 and one line on standard error: that line."""
-
-    def run(*arguments: str) -> str:
-        monkeypatch.setattr(sys, "argv", ["zenfi", *arguments])
-        with pytest.raises(SystemExit) as end:
-            main()
-        printed = capsys.readouterr()
-        assert end.value.code == 2
-        assert printed.out == ""
-        assert len(printed.err.splitlines()) == 1
-        return printed.err
-
-    return run
+from tests.dashboard.command import refusal, zenfi
 
 
 def test_an_exported_world_is_the_same_world_byte_for_byte(tmp_path: Path) -> None:
@@ -115,13 +93,11 @@ GRID = 'name = "mine"\nkind = "grid"\n'
         ("name = ", "TOML"),
     ],
 )
-def test_a_bad_world_is_refused_with_its_value_in_one_line(
-    text: str, says: str, tmp_path: Path, refused: Refused
-) -> None:
+def test_a_bad_world_is_refused_with_its_value_in_one_line(text: str, says: str, tmp_path: Path) -> None:
     path = tmp_path / "world.toml"
     path.write_text(text)
     for command in (("fly", "--world", str(path)), ("world", "show", str(path))):
-        assert says in refused(*command)
+        assert says in refusal(*command)
 
 
 @pytest.mark.parametrize(
@@ -143,10 +119,8 @@ def test_a_bad_world_is_refused_with_its_value_in_one_line(
         (("bench", "kernels", "--output", "host.txt"), "host.txt"),
     ],
 )
-def test_bad_input_is_one_clear_line_and_status_2(
-    arguments: tuple[str, ...], says: str, refused: Refused
-) -> None:
-    assert says in refused(*arguments)
+def test_bad_input_is_one_clear_line_and_status_2(arguments: tuple[str, ...], says: str) -> None:
+    assert says in refusal(*arguments)
 
 
 def test_an_airframe_and_a_platform_of_ones_own_fly_and_travel_in_the_outcome(tmp_path: Path) -> None:
@@ -174,5 +148,7 @@ def test_measured_kernels_make_a_platform_file(tmp_path: Path) -> None:
     answer = zenfi("bench", "kernels", "--flights", "1", "--output", str(path), "--json")
     assert answer.returncode == 0
     measured = json.loads(answer.stdout)
-    assert tomllib.loads(path.read_text())["kernels"] == measured["kernels"]
+    written = tomllib.loads(path.read_text())
+    assert (written["kernels"], written["detectors"]) == (measured["kernels"], measured["detectors"])
+    assert 0.0 < measured["detectors"]["gaussian"]["mean_ms"] < measured["kernels"]["octomap"]["mean_ms"]
     assert measured["kernels"]["octomap"]["mean_ms"] > measured["kernels"]["pid"]["mean_ms"]

@@ -5,7 +5,6 @@ import os
 import signal
 import sqlite3
 import subprocess
-import sys
 import time
 from contextlib import closing
 from pathlib import Path
@@ -13,8 +12,9 @@ from pathlib import Path
 from dashboard.campaigns.records import Record
 from dashboard.campaigns.store import Store
 from tests.conftest import alive, descendants, wait_until
+from tests.dashboard.command import ZENFI
+from tests.fixtures.postgresql import Server
 
-ZENFI = str(Path(sys.executable).parent / "zenfi")
 SPEC = """
 name = "hard"
 runs = {runs}
@@ -33,7 +33,7 @@ def spec(folder: Path, runs: int = RUNS // 4, disk_mb: int = 1000) -> str:
     return str(path)
 
 
-def zenfi(store: Path, *arguments: str) -> "subprocess.Popen[bytes]":
+def zenfi(store: Path | str, *arguments: str) -> "subprocess.Popen[bytes]":
     command = [ZENFI, "campaign", *arguments, "--store", str(store), "--json"]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
@@ -150,6 +150,34 @@ def test_a_full_store_pauses_the_campaign_and_loses_nothing(tmp_path: Path) -> N
     assert [record.phase for record in records(store)] == ["done"] * 8
 
 
+def test_on_postgresql_a_campaign_is_killed_and_paused_and_goes_on(
+    tmp_path: Path, postgresql_server: Server
+) -> None:
+    where = postgresql_server.database()
+    with closing(Store(where)) as store:
+
+        def flown() -> int:
+            return store.progress(store.find("1"))["done"] if store.campaigns() else 0
+
+        with zenfi(where, "run", spec(tmp_path, runs=3)) as command:
+            wait_until(lambda: flown() > 0, PATIENCE_S)
+            kill(command.pid)
+        wait_until(lambda: not store.is_flying(store.find("1")))
+        left = flown()
+        assert store.find("1").phase == "running"
+        subprocess.run([ZENFI, "campaign", "pause", "hard-1", "--store", where], check=True)
+        assert store.find("1").phase == "paused"
+        with zenfi(where, "resume") as command:
+            wait_until(lambda: flown() > left, PATIENCE_S)
+            store.wish(store.find("1"), "pause")
+            assert command.wait(PATIENCE_S) == 1
+        assert (store.find("1").phase, store.find("1").reason) == ("paused", "paused")
+        with zenfi(where, "resume") as command:
+            _, said = command.communicate(timeout=PATIENCE_S)
+            assert command.returncode == 0, said
+        assert [one.phase for one in store.records(store.find("1"))] == ["done"] * 12
+
+
 def fill(store: Path) -> None:
     with closing(sqlite3.connect(store / "zenfi.sqlite", timeout=30)) as connection:
         connection.execute("CREATE TABLE ballast AS SELECT zeroblob(1200000) AS weight")
@@ -158,7 +186,8 @@ def fill(store: Path) -> None:
 
 def test_a_campaign_that_is_flown_can_be_cancelled_from_outside(tmp_path: Path) -> None:
     store = tmp_path / "store"
-    with zenfi(store, "run", spec(tmp_path)) as command:
+    # More than are flown until the two commands below have started on a busy machine.
+    with zenfi(store, "run", spec(tmp_path, 500)) as command:
         until(store, 1, command)
         listed = subprocess.run(
             [ZENFI, "campaign", "list", "--store", str(store), "--json"], capture_output=True, check=True

@@ -48,7 +48,7 @@ def result(
 
 def records(cell: Cell, results: Sequence[Result | None]) -> list[Record]:
     return [
-        Record(cell, number, number, "done" if one is not None else "failed", 1, "", one)
+        Record(cell, number, number, "done" if one is not None else "failed", 1, "", one, number)
         for number, one in enumerate(results)
     ]
 

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from dashboard.campaigns import local
-from dashboard.campaigns.local import LocalExecutor
+from dashboard.campaigns.executors import local
+from dashboard.campaigns.executors.executor import Report, Task
+from dashboard.campaigns.executors.local import LocalExecutor
 from dashboard.campaigns.scheduler import Finished, Scheduler
 from dashboard.campaigns.spec import Arm, CampaignSpec, Run, Stop, cells, runs
 from dashboard.campaigns.states import CampaignStates, RunState
@@ -19,8 +20,9 @@ from services.bus.mission import FaultSpec, MissionSpec
 from services.bus.outcome import NO_FLIGHT, Outcome
 
 
-def answering(script: str) -> Callable[[int, int | None], subprocess.Popen[bytes]]:
-    def start(_: int, __: int | None) -> subprocess.Popen[bytes]:
+def answering(script: str) -> Callable[..., subprocess.Popen[bytes]]:
+    def start(_: int, __: int | None, *, watched: bool) -> subprocess.Popen[bytes]:
+        assert watched
         command = [sys.executable, "-c", script]
         return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
@@ -121,10 +123,10 @@ def test_flights_beyond_a_look_do_not_sway_it() -> None:
 
 
 def test_runs_of_one_twin_go_to_one_worker_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    tasks: list[local.Task] = []
+    tasks: list[Task] = []
     submit = LocalExecutor.submit
 
-    def seen(executor: LocalExecutor, task: local.Task) -> local.Report:
+    def seen(executor: LocalExecutor, task: Task) -> list[Report]:
         tasks.append(task)
         return submit(executor, task)
 

@@ -79,6 +79,9 @@ def test_flights_that_would_repeat_are_flown_once() -> None:
         ({"artefacts": "../elsewhere"}, "artefacts"),
         ({"artefacts": "/etc"}, "artefacts"),
         ({"limits": {"attempts": 0}}, "attempts"),
+        ({"recording": {"keep": "some"}}, "keep"),
+        ({"recording": {"keep": "sample", "sample": 0}}, "sample"),
+        ({"recording": {"disk_mb": 0}}, "disk_mb"),
     ],
 )
 def test_what_cannot_be_is_refused_by_name(fields: dict[str, Any], says: str) -> None:

@@ -1,6 +1,11 @@
 """The state machine under orders of events that nobody thought of."""
 
+import copy
+import itertools
+import re
 from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -24,6 +29,7 @@ from dashboard.campaigns.events import (
 from dashboard.campaigns.states import HELD, OPEN, CampaignStates, IllegalEventError, RunState
 
 RUNS, ATTEMPTS = 4, 2
+DOCUMENTATION = Path(__file__).parents[3] / "docs" / "campaigns.md"
 leases = st.sampled_from(["a", "b", "c"])
 runs = st.integers(0, RUNS - 1)
 times = st.floats(0, 10)
@@ -88,6 +94,63 @@ def test_any_order_of_events_keeps_the_promises(story: list[Event]) -> None:
     fly_the_rest(campaign)
     assert campaign.phase in ("done", "cancelled")
     assert done <= {index for index, run in campaign.runs.items() if run.phase == "done"}
+
+
+def everything_that_can_happen(runs: int, names: str) -> Iterator[Event]:
+    yield from (Begin(), NotNeeded(), Pause("why"), Cancel(), Passed(1.0))
+    for lease in names:
+        yield from (Lost(lease, "lost"), Alive(lease, 2.0))
+        for size in range(1, runs + 1):
+            yield from (Leased(lease, some, 0.0) for some in itertools.combinations(range(runs), size))
+        for run in range(runs):
+            yield from (Started(lease, run), Flown(lease, run), NotFlown(lease, run, "broken"))
+
+
+def identity(campaign: CampaignStates) -> tuple[object, ...]:
+    held = sorted((name, lease.until_s, tuple(lease.runs)) for name, lease in campaign._leases.items())
+    return (campaign.phase, tuple(campaign.runs.values()), tuple(held))
+
+
+Change = tuple[str, str, str]
+
+
+def reachable_changes() -> tuple[set[Change], set[Change]]:
+    """Every change of a run's and of a campaign's state that two runs and two workers can bring about."""
+    waiting, seen = [fresh(2)], {identity(fresh(2))}
+    of_runs: set[Change] = set()
+    of_campaigns: set[Change] = set()
+    while waiting:
+        before = waiting.pop()
+        for event in everything_that_can_happen(2, "ab"):
+            after = copy.deepcopy(before)
+            try:
+                after.handle(event)
+            except IllegalEventError:
+                continue
+            name = type(event).__name__
+            moved = zip(phases(before), phases(after), strict=True)
+            of_runs |= {(old, name, new) for old, new in moved if old != new}
+            if before.phase != after.phase:
+                of_campaigns.add((before.phase, name, after.phase))
+            if identity(after) not in seen:
+                seen.add(identity(after))
+                waiting.append(after)
+    return of_runs, of_campaigns
+
+
+def documented_changes(title: str) -> set[Change]:
+    """The table under a heading of the documentation: from, events, to."""
+    section = DOCUMENTATION.read_text().partition(f"### {title}\n")[2].partition("\n#")[0]
+    rows = re.findall(r"^\| (\w+) \| ([\w, ]+) \| (\w+) \|", section, flags=re.MULTILINE)
+    return {(old, event, new) for old, events_, new in rows for event in events_.split(", ")} - {
+        ("from", "event", "to")
+    }
+
+
+def test_the_documentation_has_every_change_that_can_happen_and_no_other() -> None:
+    of_runs, of_campaigns = reachable_changes()
+    assert documented_changes("A run") == of_runs
+    assert documented_changes("A campaign") == of_campaigns
 
 
 def told(*story: Event, count: int = 2) -> CampaignStates:

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -11,7 +10,8 @@ import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 
-from dashboard.campaigns.database import Database, StoreFullError
+from dashboard.campaigns import postgresql
+from dashboard.campaigns.database import StoreFullError, migrate
 from dashboard.campaigns.events import Begin, Flown, Leased, Started
 from dashboard.campaigns.schema import Base
 from dashboard.campaigns.spec import Arm, CampaignSpec
@@ -22,12 +22,6 @@ from services.bus.mission import FaultSpec, MissionSpec
 from services.bus.outcome import NO_FLIGHT, InjectionRecord, NodeReport, Outcome
 
 SPEC = CampaignSpec(name="x", runs=3, arms=(Arm(name="a"), Arm(name="b", fault=FaultSpec(target="pid"))))
-
-
-@pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    with closing(Store(tmp_path / "store")) as opened:
-        yield opened
 
 
 def outcome(digest: str = "d") -> Outcome:
@@ -162,22 +156,49 @@ def test_artefacts_stay_inside(store: Store, tmp_path: Path) -> None:
     assert store.artefacts(store.create(SPEC)).name == "x-2"
 
 
-def test_the_migrations_make_what_the_schema_says(tmp_path: Path) -> None:
-    database = Database(tmp_path / "zenfi.sqlite")
-    with database.reading() as connection:
+def test_the_migrations_make_what_the_schema_says(store: Store) -> None:
+    with store.database.reading() as connection:
         assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
-    database.close()
 
 
-def test_a_store_of_a_newer_zenfi_is_left_alone(tmp_path: Path) -> None:
-    with closing(Store(tmp_path)):
+def test_a_store_of_an_older_form_is_brought_up_to_date(where: str, tmp_path: Path) -> None:
+    engine = raw(where, tmp_path)
+    with engine.connect() as connection:
+        migrate(connection, "0001")
+        connection.execute(
+            sa.text(
+                "INSERT INTO campaigns (name, spec, phase, reason, wish, created) "
+                "VALUES ('x', :spec, 'queued', '', '', '2026')"
+            ),
+            {"spec": SPEC.model_dump_json()},
+        )
+        connection.commit()
+    engine.dispose()
+    with closing(Store(where)) as store:
+        assert [one.label for one in store.campaigns()] == ["x-1"]
+        with store.database.reading() as connection:
+            assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
+
+
+def raw(where: str, tmp_path: Path) -> sa.Engine:
+    """The database of a store that is not open."""
+    if "://" in where:
+        url = postgresql.parse(where)
+        plain = url.set(drivername="postgresql+pg8000", query={})
+        return sa.create_engine(plain, connect_args=postgresql.connect_arguments(url))
+    (tmp_path / "store").mkdir(exist_ok=True)
+    return sa.create_engine(f"sqlite:///{tmp_path / 'store' / 'zenfi.sqlite'}")
+
+
+def test_a_store_of_a_newer_zenfi_is_left_alone(where: str, tmp_path: Path) -> None:
+    with closing(Store(where)):
         pass
-    engine = sa.create_engine(f"sqlite:///{tmp_path / 'zenfi.sqlite'}")
+    engine = raw(where, tmp_path)
     with engine.begin() as connection:
         connection.execute(sa.text("UPDATE alembic_version SET version_num = '9999'"))
     engine.dispose()
     with pytest.raises(BadSpecError, match="newer"):
-        Store(tmp_path)
+        Store(where)
 
 
 def test_what_is_no_store_is_refused(tmp_path: Path) -> None:

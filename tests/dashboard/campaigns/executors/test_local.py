@@ -7,8 +7,9 @@ from collections.abc import Callable
 
 import pytest
 
-from dashboard.campaigns import local
 from dashboard.campaigns.events import Lost, Started
+from dashboard.campaigns.executors import local
+from dashboard.campaigns.executors.executor import Report, Task
 from dashboard.campaigns.scheduler import fly_all
 from dashboard.campaigns.spec import Run
 from deploy.supervisor import InfrastructureError
@@ -17,8 +18,9 @@ from services.bus.mission import MissionSpec
 RUN = Run("golden", 0, MissionSpec())
 
 
-def worker(script: str) -> Callable[[int, int | None], subprocess.Popen[bytes]]:
-    def start(_: int, __: int | None) -> subprocess.Popen[bytes]:
+def worker(script: str) -> Callable[..., subprocess.Popen[bytes]]:
+    def start(_: int, __: int | None, *, watched: bool) -> subprocess.Popen[bytes]:
+        assert watched
         command = [sys.executable, "-c", script]
         return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
@@ -28,7 +30,7 @@ def worker(script: str) -> Callable[[int, int | None], subprocess.Popen[bytes]]:
 def test_a_worker_that_talks_nonsense_ends_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
     script = "import sys\nfor line in sys.stdin: print('{\"outcome\": {}}', flush=True)"
     monkeypatch.setattr(local, "start_worker", worker(script))
-    with pytest.raises(ValueError, match="Outcome"):
+    with pytest.raises(ValueError, match="Answer"):
         list(fly_all([RUN], 1))
 
 
@@ -56,26 +58,25 @@ def test_a_silent_worker_loses_its_lease_and_its_process(monkeypatch: pytest.Mon
     started: list[subprocess.Popen[bytes]] = []
     make = worker("import time\ntime.sleep(600)")
 
-    def start(cpu: int, log: int | None) -> subprocess.Popen[bytes]:
-        started.append(make(cpu, log))
+    def start(cpu: int, log: int | None, *, watched: bool) -> subprocess.Popen[bytes]:
+        started.append(make(cpu, log, watched=watched))
         return started[-1]
 
     monkeypatch.setattr(local, "start_worker", start)
     executor = local.LocalExecutor(1, lease_s=60.0)
     try:
-        begun = executor.submit(local.Task("a", [(0, MissionSpec())]))
-        assert begun.event == Started("a", 0)
+        assert executor.submit(Task("a", [(0, MissionSpec())])) == [Report(Started("a", 0))]
         assert executor.leases == {"a"}
         executor.drop("a")
         assert started[0].poll() is not None
         assert executor.idle == 1
         started[1].kill()
         deadline = time.monotonic() + 20
-        executor.submit(local.Task("b", [(1, MissionSpec())]))
-        reports: list[local.Report] = []
+        executor.submit(Task("b", [(1, MissionSpec())]))
+        reports: list[Report] = []
         while not reports and time.monotonic() < deadline:
             reports = executor.poll(0.1)
-        assert reports == [local.Report(Lost("b", "the worker died"))]
+        assert reports == [Report(Lost("b", "the worker died"))]
     finally:
         executor.close()
     assert all(process.poll() is not None for process in started)

@@ -1,0 +1,69 @@
+"""A single flight, a fault by hand while it flies, and both flown again."""
+
+import pytest
+
+from dashboard.api.flights import Flight
+from dashboard.client import Client, RefusedError
+from deploy.replay import Replay
+from services.bus.mission import FaultSpec, Limits, MissionSpec
+
+MISSION = MissionSpec(limits=Limits(mission_time_s=6))
+LONG = MissionSpec(mission="scanning", limits=Limits(mission_time_s=50))
+"""Under way for seconds on its watch: virtual seconds go by ten times as fast."""
+
+
+def struck_by_hand(client: Client) -> tuple[str, Flight]:
+    """A flight's label and the flight in which it was struck; whoever asks too late asks again."""
+    for _ in range(8):
+        watched = client.fly(LONG).campaign.campaign
+        struck: Flight | None = None
+        for event in client.watch(watched):
+            if event.kind == "flight" and event.data.present.time_s > 1 and struck is None:
+                struck = client.inject(watched, FaultSpec(target="pid", seed=3))
+        assert struck is not None
+        assert list(client.watch(struck.campaign.campaign))[-1].data.phase == "done"
+        injection = client.outcome(struck.campaign.campaign, struck.run.id).injection
+        if injection is not None and injection.status == "injected":
+            return watched, struck
+    raise AssertionError("struck in none of eight flights")
+
+
+def test_a_flight_is_struck_by_hand_after_the_moment_it_was_asked_for(client: Client) -> None:
+    watched, struck = struck_by_hand(client)
+    golden = client.outcome(watched, client.flight(watched).run.id)
+    outcome = client.outcome(struck.campaign.campaign, struck.run.id)
+    assert outcome.injection is not None
+    assert outcome.injection.virtual_time_ns > 1e9
+    assert outcome.golden is not None
+    assert outcome.golden.digest == golden.digest
+
+    answer = client.replay(struck.campaign.campaign, struck.run.id)
+    # Which instruction is struck follows from when we ask: one in a hundred handles what no two processes
+    # have alike (docs/injection.md), and then the answer says what differed.
+    assert answer == Replay(answer="replayed") or (answer.answer == "diverged" and answer.differences)
+    run = client.flight(watched).run.id
+    with pytest.raises(RefusedError, match="POST here records one"):
+        client.series(watched, run)
+    recorded = client.record_series(watched, run)
+    assert recorded.points[-1].qof == golden.qof
+    assert client.series(watched, run) == recorded
+
+    with pytest.raises(RefusedError, match="not under way") as refused:
+        client.inject(watched, FaultSpec(target="pid"))
+    assert refused.value.problem.status == 409
+
+
+def test_nodes_and_processes_of_a_flight_are_shown(client: Client) -> None:
+    watched = client.fly(MISSION.model_copy(update={"seed": 5})).campaign.campaign
+    seen: set[str] = set()
+    for event in client.watch(watched):
+        if event.kind == "flight" and not seen:
+            seen = {node.name for node in client.nodes()}
+            names = {process.name for process in client.processes().service}
+    assert {"sim", "perception", "planning", "control"} <= seen
+    assert "zenfi-sim" in names
+
+
+def test_a_flight_that_cannot_be_flown_is_refused(client: Client) -> None:
+    with pytest.raises(RefusedError, match="unknown planner 'best'"):
+        client.fly(MissionSpec(planner="best"))

@@ -1,0 +1,100 @@
+"""Who is let in: this machine alone, elsewhere who bears the token; no page of another origin."""
+
+import asyncio
+import stat
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from fastapi import FastAPI
+from starlette.types import Message
+
+from dashboard.api.security import new_token, token_hash
+from dashboard.api.server import serve
+from dashboard.campaigns.store import Store
+from dashboard.cli import zenfi
+from deploy.check import BadSpecError
+from tests.dashboard.api.asking import CAMPAIGNS, HERE, ask, make
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    with closing(Store(tmp_path)) as opened:
+        yield opened
+
+
+def open_websocket(app: FastAPI, origin: str) -> list[Message]:
+    """What the service sends to a page of ``origin`` that opens a WebSocket."""
+    sent: list[Message] = []
+    headers = [(b"host", b"localhost:8300"), (b"origin", origin.encode())]
+    scope = {
+        "type": "websocket",
+        "path": "/api/v1/ws",
+        "query_string": b"",
+        "headers": headers,
+        "scheme": "ws",
+    }
+
+    async def receive() -> Message:
+        return {"type": "websocket.connect"}
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    asyncio.run(app({**scope, "subprotocols": []}, receive, send))
+    return sent
+
+
+def test_on_loopback_only_names_of_this_machine_are_answered(store: Store) -> None:
+    app = make(store)
+    for host in ("localhost", "localhost:8300", "127.0.0.1:8300", "[::1]:8300"):
+        assert ask(app, CAMPAIGNS, headers={"Host": host}).status_code == 200
+    for host in ("evil.example", "evil.example:8300", "127.0.0.1.evil.example", "", "localhost@evil.example"):
+        answer = ask(app, CAMPAIGNS, headers={"Host": host})
+        assert answer.status_code == 403, host
+        assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_a_page_of_another_origin_is_refused(store: Store) -> None:
+    app = make(store)
+    assert ask(app, CAMPAIGNS, headers={"Origin": HERE}).status_code == 200
+    for origin in ("http://evil.example", "http://localhost:9999", "null", ""):
+        assert ask(app, f"{CAMPAIGNS}/x-1/cancel", "POST", headers={"Origin": origin}).status_code == 403
+        assert [message["type"] for message in open_websocket(app, origin)] == ["websocket.close"]
+    accepted, ended = open_websocket(app, HERE)
+    assert (accepted["type"], ended["code"]) == ("websocket.accept", 1001)
+
+
+def test_beyond_this_machine_requests_must_bear_the_token(store: Store) -> None:
+    token, elsewhere = new_token(store.folder), "http://lab.example"
+    app = make(store, token_hash(store.folder), loopback=False)
+    assert (
+        ask(app, CAMPAIGNS, base=elsewhere, headers={"Authorization": f"Bearer {token}"}).status_code == 200
+    )
+    for wrong in ("", "Bearer ", f"Basic {token}", f"Bearer {token}x", token):
+        answer = ask(app, CAMPAIGNS, base=elsewhere, headers={"Authorization": wrong})
+        assert (answer.status_code, answer.headers["www-authenticate"]) == (401, "Bearer")
+    assert ask(app, "/metrics", base=elsewhere, headers={}).status_code == 401
+    assert ask(app, "/health", base=elsewhere, headers={}).status_code == 200
+
+
+def test_a_token_is_told_once_and_kept_as_a_hash_for_its_owner_alone(tmp_path: Path) -> None:
+    said = CliRunner().invoke(zenfi, ["token", "new", "--store", str(tmp_path)])
+    token = said.stdout.strip()
+    assert len(token) == 43
+    kept = tmp_path / "token.sha256"
+    assert stat.S_IMODE(kept.stat().st_mode) == 0o600
+    assert token not in kept.read_text()
+    before = token_hash(tmp_path)
+    assert new_token(tmp_path) != token
+    assert token_hash(tmp_path) != before
+    kept.chmod(0o644)
+    with pytest.raises(BadSpecError, match="others may read"):
+        token_hash(tmp_path)
+
+
+def test_without_a_token_nothing_listens_beyond_this_machine(tmp_path: Path) -> None:
+    with pytest.raises(BadSpecError, match="zenfi token new"):
+        serve(str(tmp_path), "0.0.0.0", 1, None)  # noqa: S104 - it must not

@@ -1,0 +1,68 @@
+"""Flights watched in a browser while they fly, and struck by hand."""
+
+import re
+
+from playwright.sync_api import expect
+
+from dashboard.client import Client
+from services.bus.mission import Limits, MissionSpec
+from tests.dashboard.api.conftest import Serving
+from tests.dashboard.web.conftest import Looking
+
+
+def test_where_nothing_flies_the_page_says_what_to_do(service: Serving, looking: Looking) -> None:
+    page = looking.goto(service.address, "/live")
+    expect(page.get_by_role("status")).to_contain_text("No flight is under way.")
+    page.get_by_label("Seed").fill("-1")
+    page.get_by_label("Seed").blur()
+    page.goto(f"{service.address}/live?flight=flight-987")
+    expect(page.get_by_role("alert")).to_contain_text("flight-987")
+
+
+def test_a_flight_is_started_watched_and_struck_by_hand(
+    service: Serving, client: Client, looking: Looking
+) -> None:
+    page = looking.goto(service.address, "/live")
+    page.get_by_role("button", name="Fly", exact=True).click()
+    page.wait_for_url(re.compile("flight="))
+    watched = page.url.partition("flight=")[2].partition("&")[0]
+
+    time = page.locator(".reading-value").first
+    expect(time).to_have_text(re.compile(r"^\d+\.\d s$"))
+    page.evaluate("window.before = 1")
+    first = time.inner_text()
+    expect(time).not_to_have_text(first)
+    expect(page.locator(".scene canvas")).to_be_visible()
+    expect(page.locator(".depth img").first).to_have_attribute("src", re.compile("^data:image/png"))
+    expect(page.locator(".layer-map image")).to_have_count(1)
+    expect(page.locator('.layer-paths polyline[points*=" "]')).to_have_count(1)  # its twin has not flown
+    assert page.evaluate("window.before") == 1
+    assert client.sight(watched).map is not None
+
+    page.get_by_label("Strikes").fill("command.vx")
+    page.get_by_role("option", name="state command.vx", exact=True).click()
+    shown_s = float(time.inner_text().partition(" ")[0])
+    page.get_by_role("button", name="Inject now").click()
+    page.wait_for_url(re.compile(f"flight=(?!{watched}(&|$))"))
+    struck = page.url.partition("flight=")[2].partition("&")[0]
+    client.steer(watched, "cancel")  # the other waits for it
+    expect(page.get_by_text("its golden twin flies first")).to_be_visible()
+
+    expect(page.get_by_role("link", name="Open the flight")).to_be_visible()
+    outcome = client.outcome(struck, client.flight(struck).run.id)
+    assert outcome.injection is not None
+    assert outcome.injection.state == ["command.vx"]
+    assert outcome.injection.virtual_time_ns / 1e9 >= shown_s
+    page.get_by_role("link", name="Open the flight").click()
+    expect(page.get_by_role("heading", name="Injection")).to_be_visible()
+
+
+def test_a_flight_that_waits_and_then_flies_is_shown_by_itself(
+    service: Serving, client: Client, looking: Looking
+) -> None:
+    spec = MissionSpec(mission="scanning", limits=Limits(mission_time_s=60))
+    first, second = (client.fly(spec).campaign.campaign for _ in range(2))
+    page = looking.goto(service.address, f"/live?flight={second}")
+    expect(page.get_by_role("status")).to_contain_text(f"{second} is about to fly.")
+    expect(page.get_by_role("heading", name=re.compile(f"^{second}, run"))).to_be_visible()
+    assert client.flight(first).campaign.phase == "done"

@@ -1,0 +1,259 @@
+"""People at a browser: they start a campaign, watch it, look through it, and take it away again."""
+
+import re
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from dashboard.campaigns.spec import Arm, CampaignSpec
+from dashboard.client import Client
+from services.bus.mission import FaultSpec, Limits, MissionSpec
+from tests.dashboard.api.conftest import Serving, serving
+from tests.dashboard.web.conftest import Looking
+
+SHORT = MissionSpec(limits=Limits(mission_time_s=0.6))
+ARMS = (Arm(name="golden"), Arm(name="flip", fault=FaultSpec(target="pid")))
+MARKUP = "<img src=x onerror=window.taken=1>"
+TEMPLATE = "{{7*7}}${7*7}"
+
+
+def flown(client: Client, spec: CampaignSpec) -> str:
+    """The label of a campaign that has ended."""
+    label = client.create(spec).campaign
+    for _ in client.watch(label):
+        pass
+    assert client.campaign(label).phase == "done"
+    return label
+
+
+@pytest.fixture(scope="module")
+def short(service: Serving) -> str:
+    """A campaign of 2 x 4 short flights."""
+    with Client(service.address) as client:
+        return flown(client, CampaignSpec(name="short", runs=4, mission=SHORT, arms=ARMS))
+
+
+def rows(page: Page) -> list[list[str]]:
+    """The texts of the table of runs."""
+    found: list[list[str]] = page.locator(".runs tbody tr").evaluate_all(
+        "rows => rows.map(row => [...row.cells].map(cell => cell.innerText))"
+    )
+    return found
+
+
+def test_a_campaign_is_started_from_the_form_and_watched_without_loading_again(
+    service: Serving, looking: Looking, client: Client
+) -> None:
+    page = looking.goto(service.address, "/new?preset=own")
+    page.get_by_label("name", exact=True).fill("browser")
+    page.get_by_label("flights per arm and world").fill("2")
+    page.get_by_label("mission ends after, s").fill("1")
+    page.get_by_label("detector that recovers").click()
+    page.get_by_role("option", name="gaussian").click()
+    page.get_by_label("recordings to look through").click()
+    page.get_by_role("option", name="of missions that failed").click()
+    expect(page.locator(".forecast")).to_contain_text("6 flights in 3 cells")
+    expect(page.locator(".forecast")).to_contain_text("2 flights a cell can tell")
+
+    page.get_by_role("button", name="Start").click()
+    page.wait_for_url(re.compile(r"/campaigns/browser-\d+$"))
+    page.evaluate(
+        "() => { const words = document.querySelector('.words'); window.seen = [words.innerText];"
+        "new MutationObserver(() => window.seen.push(words.innerText))"
+        ".observe(words, {childList: true, characterData: true, subtree: true}) }"
+    )
+    expect(page.locator(".words")).to_contain_text("6 of 6 flown")
+    expect(page.locator(".phase")).to_have_text("done")
+    quality = page.locator(".figures").first
+    expect(quality.locator("tbody tr")).to_have_count(3)
+    expect(quality).to_contain_text("2 of 2")
+    expect(page.get_by_text("No fault has struck yet.")).to_be_hidden()
+    assert len(set(page.evaluate("window.seen"))) > 1
+    assert len(rows(page)) == 6
+    asked = client.campaign(page.url.rpartition("/")[2]).spec
+    assert asked.mission.detector is not None
+    assert (asked.mission.detector.scheme, asked.recording.keep) == ("gaussian", "failures")
+
+
+def test_a_form_that_cannot_be_flown_says_why(service: Serving, looking: Looking) -> None:
+    page = looking.goto(service.address, "/new?preset=own")
+    page.get_by_label("name", exact=True).fill("no spaces here")
+    expect(page.locator(".wrong")).to_contain_text("name")
+    expect(page.get_by_role("button", name="Start")).to_be_disabled()
+
+
+def test_what_the_table_of_runs_shows_stands_in_the_address(
+    service: Serving, looking: Looking, short: str
+) -> None:
+    page = looking.goto(service.address, f"/campaigns/{short}?limit=5")
+    assert len(rows(page)) == 5
+    page.get_by_role("button", name="Next").click()
+    expect(page.locator(".runs tbody tr")).to_have_count(3)
+    page.get_by_role("button", name="Previous").click()
+    expect(page.locator(".runs tbody tr")).to_have_count(5)
+
+    page.get_by_label("arm", exact=True).click()
+    page.get_by_role("option", name="flip").click()
+    expect(page.locator(".runs tbody tr")).to_have_count(4)
+    page.locator(".runs th").filter(has_text="seed").click()
+    page.get_by_label("largest first").click()
+    page.wait_for_url(re.compile(r"arm=flip.*sort=seed.*descending=True|descending=true"))
+    assert {row[1] for row in rows(page)} == {"flip"}
+    page.reload()
+    expect(page.locator(".runs tbody tr")).to_have_count(4)
+    seeds = [int(row[2]) for row in rows(page)]
+    assert seeds == sorted(seeds, reverse=True)
+    href = page.locator(".runs tbody a").first.get_attribute("href")
+    assert href is not None
+    assert re.fullmatch(rf"/campaigns/{short}/runs/\d+", href)
+
+
+def test_a_dot_opens_its_flight_and_the_map_of_bits_shows_what_one_asks_for(
+    service: Serving, looking: Looking, short: str
+) -> None:
+    page = looking.goto(service.address, f"/campaigns/{short}")
+    described = page.locator(".heat[aria-label]").first
+    expect(described).to_have_attribute("aria-label", re.compile("missions failed"))
+    page.get_by_role("button", name="nodes crashed or hung").click()
+    expect(described).to_have_attribute("aria-label", re.compile("nodes crashed or hung"))
+
+    chart = page.locator("#flights .chart").first
+    chart.scroll_into_view_if_needed()
+    # These flights end before they arrive; what is drawn last lies on top.
+    x, y, run = chart.evaluate(
+        "element => { const chart = getElement(Number(element.id.slice(1))).chart;"
+        "const index = chart.getOption().series.findIndex(one => one.name === 'failure');"
+        "const dot = chart.getOption().series[index].data.at(-1);"
+        "return [...chart.convertToPixel({seriesIndex: index}, dot.value), dot.run] }"
+    )
+    chart.click(position={"x": x, "y": y})
+    page.wait_for_url(f"**/campaigns/{short}/runs/{run}")
+
+
+def test_exports_can_be_had_from_the_page(service: Serving, looking: Looking, short: str) -> None:
+    page = looking.goto(service.address, f"/campaigns/{short}")
+    with page.expect_download() as got:
+        page.get_by_role("link", name="runs as CSV").click()
+    assert len(Path(got.value.path()).read_text().splitlines()) == 9
+
+
+def test_a_campaign_is_cancelled_and_deleted_after_a_question(
+    service: Serving, looking: Looking, client: Client
+) -> None:
+    label = client.create(CampaignSpec(name="long", runs=2000, mission=SHORT, arms=ARMS)).campaign
+    page = looking.goto(service.address)
+    card = page.locator("article").filter(has=page.get_by_role("link", name=label, exact=True))
+    card.get_by_role("button", name="cancel").click()
+    page.get_by_role("button", name="Back").click()
+    assert client.campaign(label).phase != "cancelled"
+    card.get_by_role("button", name="cancel").click()
+    page.get_by_role("button", name="Cancel", exact=True).click()
+    expect(card.locator(".phase")).to_have_text("cancelled")
+    expect(card.get_by_role("button", name="cancel")).to_be_hidden()
+
+    card.get_by_role("button", name="delete").click()
+    page.get_by_role("button", name="Delete", exact=True).click()
+    expect(card).to_have_count(0)
+    assert label not in [line.campaign for line in client.campaigns()]
+
+
+def test_a_campaign_is_paused_resumed_and_cloned(service: Serving, looking: Looking, client: Client) -> None:
+    label = client.create(CampaignSpec(name="halting", runs=2000, mission=SHORT, arms=ARMS)).campaign
+    page = looking.goto(service.address, f"/campaigns/{label}")
+    try:
+        expect(page.locator(".phase")).to_have_text("running")
+        page.get_by_role("button", name="pause").click()
+        expect(page.locator(".phase")).to_have_text("paused")
+        page.get_by_role("button", name="resume").click()
+        expect(page.locator(".phase")).to_have_text("running")
+        page.get_by_role("button", name="clone").click()
+        page.wait_for_url(lambda url: "/campaigns/halting-" in url and not url.endswith(label))
+    finally:
+        for line in client.campaigns():
+            if line.campaign.startswith("halting-") and line.phase != "cancelled":
+                client.steer(line.campaign, "cancel")
+
+
+def test_a_campaign_that_others_delete_is_shown_as_deleted(
+    service: Serving, looking: Looking, client: Client
+) -> None:
+    label = flown(client, CampaignSpec(name="passing", runs=1, mission=SHORT, arms=ARMS))
+    page = looking.goto(service.address, f"/campaigns/{label}")
+    expect(page.get_by_text("Quality of flight")).to_be_visible()
+    client.delete(label)
+    expect(page.get_by_role("alert").filter(has_text="This campaign was deleted.")).to_be_visible()
+    expect(page.get_by_text("Quality of flight")).to_be_hidden()
+    looking.goto(service.address, f"/campaigns/{label}")
+    expect(page.get_by_role("alert").filter(has_text="no campaign")).to_be_visible()
+
+
+def test_names_that_people_type_are_never_markup(service: Serving, looking: Looking, client: Client) -> None:
+    arms = (Arm(name=MARKUP), Arm(name=TEMPLATE, fault=FaultSpec(target="pid")))
+    label = flown(client, CampaignSpec(name="markup", runs=2, mission=SHORT, arms=arms))
+    for path in (
+        "/",
+        f"/campaigns/{label}?arm={MARKUP}",
+        f"/compare?first={label}&arm={MARKUP}",
+        f"/compare?first={MARKUP}",
+    ):
+        page = looking.goto(service.address, path)
+        expect(page.get_by_text(MARKUP).first).to_be_visible()
+        assert page.evaluate("window.taken") is None
+        assert page.locator("img").count() == 0
+        assert re.search(r"49\$|[$}]49", page.locator("body").inner_text()) is None
+
+
+def test_two_arms_and_two_campaigns_are_compared(
+    service: Serving, looking: Looking, client: Client, short: str
+) -> None:
+    again = flown(client, client.campaign(short).spec)
+    page = looking.goto(service.address, f"/compare?first={short}&second={again}")
+    expect(page.get_by_text(f"Beside {again}")).to_be_visible()
+    expect(page.locator(".figures").first.locator("tbody tr")).to_have_count(2)
+    page.get_by_label("beside").click()
+    page.get_by_role("option", name="arm golden").click()
+    expect(page.get_by_text("Beside golden", exact=True)).to_be_visible()
+    assert "arm=golden" in page.url
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_every_page_fits_a_narrow_screen_in_light_and_dark(
+    service: Serving, looking: Looking, short: str, theme: str
+) -> None:
+    page = looking.page
+    page.set_viewport_size({"width": 390, "height": 800})
+    page.emulate_media(color_scheme="dark" if theme == "dark" else "light")
+    for path in ("/", "/new", "/new?preset=own", "/compare", "/studies", f"/campaigns/{short}"):
+        looking.goto(service.address, path)
+        expect(page.get_by_role("heading", level=1)).to_be_visible()
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390, path
+        assert page.evaluate("document.body.classList.contains('body--dark')") == (theme == "dark")
+
+
+def test_a_theme_that_was_chosen_stays_and_keys_reach_everything(service: Serving, looking: Looking) -> None:
+    page = looking.goto(service.address)
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.innerText") == "Skip to content"
+    for _ in range(20):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.getAttribute('aria-label')") == "Light or dark":
+            break
+    page.keyboard.press("Enter")
+    page.wait_for_function("document.body.classList.contains('body--dark')")
+    looking.goto(service.address, "/studies")
+    assert page.evaluate("document.body.classList.contains('body--dark')")
+
+
+def test_a_stopped_server_is_told_and_the_page_comes_back_by_itself(tmp_path: Path, looking: Looking) -> None:
+    with serving(tmp_path) as one:
+        port = int(one.address.rsplit(":", 1)[1])
+        page = looking.goto(one.address)
+        expect(page.get_by_text("No campaigns yet.")).to_be_visible()
+        looking.expected = ("net::ERR_", "WebSocket connection")
+        one.kill()
+        expect(page.get_by_text("Connection lost.")).to_be_visible()
+    with serving(tmp_path, port=port) as again, Client(again.address) as client:
+        expect(page.get_by_text("Connection lost.")).to_be_hidden()
+        label = client.create(CampaignSpec(name="after", runs=1, mission=SHORT, arms=ARMS)).campaign
+        expect(page.get_by_role("link", name=label)).to_be_visible()

@@ -1,0 +1,68 @@
+"""What the page of a run draws, from real flights."""
+
+import numpy as np
+import pytest
+
+from dashboard.web import run_data
+from deploy.forkserver import ForkServer
+from deploy.mission import Flight, fly
+from services.bus.mission import FaultSpec, Limits, MissionSpec, Trigger
+from services.bus.states import STATES
+
+SPEC = MissionSpec(seed=7, limits=Limits(mission_time_s=8))
+STRUCK_AT = 120
+FAULT = FaultSpec(
+    level="source",
+    target="command.vx",
+    bit_numbers=(62,),
+    trigger=Trigger(invocation=STRUCK_AT),
+)
+
+
+@pytest.fixture(scope="module")
+def golden(server: ForkServer) -> Flight:
+    return fly(SPEC, server, keep_messages=True)
+
+
+@pytest.fixture(scope="module")
+def injected(server: ForkServer) -> Flight:
+    return fly(SPEC.model_copy(update={"fault": FAULT}), server, keep_messages=True)
+
+
+def test_a_way_is_where_the_vehicle_was_tick_by_tick(golden: Flight) -> None:
+    assert golden.messages is not None
+    way = run_data.way(golden.messages)
+    assert len(way.times_s) == len(golden.messages["odometry"])
+    assert np.linalg.norm(way.at(0.0) - (-25.0, 5.0, 2.0)) < 0.5
+    assert np.array_equal(way.at(way.end_s + 100), way.points[-1])
+    flown = np.linalg.norm(np.diff(way.points, axis=0), axis=1).sum()
+    assert flown == pytest.approx(golden.outcome.qof.distance_m, abs=0.5)
+
+
+def test_two_flights_part_only_after_the_strike(golden: Flight, injected: Flight) -> None:
+    assert golden.messages is not None
+    assert injected.messages is not None
+    times, metres = run_data.apart(run_data.way(injected.messages), run_data.way(golden.messages))
+    (strike,) = run_data.moments(injected.outcome)
+    assert strike.name == "fault"
+    assert not metres[times <= strike.time_s].any()
+    assert metres[times > strike.time_s + 0.5].any()
+
+
+def test_the_struck_state_differs_in_the_struck_message_first(golden: Flight, injected: Flight) -> None:
+    assert golden.messages is not None
+    assert injected.messages is not None
+    assert run_data.first_choice(injected.outcome) == "command.vx"
+    twins, faulty = run_data.curves(injected.messages, golden.messages, "command.vx")
+    assert (twins.name, faulty.name) == ("golden", "injected")
+    shorter = min(len(twins.values), len(faulty.values))
+    differs = np.flatnonzero(twins.values[:shorter] != faulty.values[:shorter])
+    assert differs[0] == STRUCK_AT
+
+
+def test_every_state_has_values_and_an_axis(golden: Flight) -> None:
+    assert golden.messages is not None
+    for name, state in STATES.items():
+        times, values = run_data.values(golden.messages, name)
+        assert len(times) == len(values) == len(golden.messages[state.topic])
+        assert run_data.quantity(name).endswith(")")

@@ -1,0 +1,144 @@
+"""The page of a run, in a browser, on real flights."""
+
+import re
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from dashboard.campaigns.listing import RunQuery
+from dashboard.campaigns.spec import Arm, CampaignSpec, Recording
+from dashboard.client import Client
+from dashboard.records import open_run
+from services.bus.mission import FaultSpec, Limits, MissionSpec, Trigger
+from tests.dashboard.api.conftest import Serving
+from tests.dashboard.web.conftest import Looking
+
+FAULT = FaultSpec(level="source", target="command.vx", bit_numbers=(62,), trigger=Trigger(invocation=60))
+SPEC = CampaignSpec(
+    name="flown",
+    runs=1,
+    mission=MissionSpec(seed=7, limits=Limits(mission_time_s=5)),
+    arms=(Arm(name="golden"), Arm(name="flip", fault=FAULT)),
+)
+
+
+@pytest.fixture(scope="module")
+def runs(service: Serving) -> dict[str, str]:
+    """The paths of a golden and a struck run by their arms."""
+    with Client(service.address) as client:
+        label = client.create(SPEC).campaign
+        assert list(client.watch(label))[-1].data.phase == "done"
+        return {run.arm: f"/campaigns/{label}/runs/{run.id}" for run in client.runs(label, RunQuery())}
+
+
+def vehicles(page: Page) -> list[tuple[str | None, str | None]]:
+    """Where the plan shows them."""
+    circles = page.locator(".layer-now circle").all()
+    return [(one.get_attribute("cx"), one.get_attribute("cy")) for one in circles]
+
+
+def test_a_run_is_recorded_looked_through_replayed_and_taken_away(
+    service: Serving, client: Client, looking: Looking, runs: dict[str, str], tmp_path: Path
+) -> None:
+    page = looking.goto(service.address, runs["flip"])
+    card = page.locator(".bit.struck")
+    expect(card).to_have_count(1)
+    assert card.get_attribute("title") in ("bit 62: 0, then 1", "bit 62: 1, then 0")
+    expect(page.get_by_role("button", name="Download MCAP")).to_be_disabled()
+
+    expect(page.get_by_text("There is no recording of this run.")).to_be_visible()
+    page.get_by_role("button", name="Record", exact=True).click()
+    expect(page.locator(".scene canvas")).to_be_visible()
+    expect(page.locator(".curve canvas").first).to_be_visible()
+    travelled = page.get_by_role("region", name="How the fault travelled")
+    expect(travelled.locator("tbody tr").first).to_contain_text("command")
+    expect(travelled.locator("tbody tr").first).to_contain_text("fault")
+
+    now = page.locator(".now")
+    expect(now).to_contain_text("m from golden")
+    told, before = now.inner_text(), vehicles(page)
+    assert len(before) == 2
+    assert told.startswith("2.40 s, tick 60"), "it begins where the fault struck"
+    page.get_by_role("button", name="Play", exact=True).focus()
+    page.keyboard.press("Tab")
+    page.keyboard.press("ArrowRight")
+    expect(now).to_contain_text("2.44 s, tick 61")
+    slider = page.get_by_role("slider", name="Moment of the flight")
+    box = slider.bounding_box()
+    assert box is not None
+    slider.click(position={"x": box["width"] - 2, "y": box["height"] / 2})
+    expect(now).to_contain_text(re.compile(r"^(4\.9|5)"))
+    assert vehicles(page) != before
+    expect(now).to_contain_text(re.compile(r"0\.00[1-9] m from golden"))  # of one command in 125
+
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Download MCAP").click()
+    download.value.save_as(tmp_path / "run.mcap")
+    label, run = runs["flip"].split("/")[2::2]
+    outcome = client.outcome(label, int(run))
+    recording = open_run(tmp_path / "run.mcap")
+    assert recording.spec == outcome.spec
+    assert recording.about["digest"] == outcome.digest
+    assert len(recording.table("command")["ready_ns"]) == outcome.topics["command"].messages
+    assert client.recording(label, int(run)) == (tmp_path / "run.mcap").read_bytes()
+
+    page.get_by_role("button", name="Open in a viewer").click()
+    expect(page.locator(".q-dialog")).to_contain_text("zenfi view")
+    page.get_by_role("button", name="Close").click()
+    page.get_by_role("button", name="Replay", exact=True).click()
+    expect(page.get_by_text("Replay: replayed")).to_be_visible()
+
+
+def test_a_run_of_a_campaign_that_keeps_recordings_is_drawn_at_once(
+    service: Serving, client: Client, looking: Looking
+) -> None:
+    spec = SPEC.model_copy(update={"name": "kept", "recording": Recording(keep="all")})
+    label = client.create(spec).campaign
+    assert list(client.watch(label))[-1].data.phase == "done"
+    (run,) = client.runs(label, RunQuery(arm="flip"))
+    page = looking.goto(service.address, f"/campaigns/{label}/runs/{run.id}")
+    expect(page.locator(".now")).to_contain_text("m from golden")
+    expect(page.get_by_role("button", name="Record", exact=True)).to_have_count(0)
+
+
+def test_another_state_is_drawn_when_it_is_chosen(
+    service: Serving, client: Client, looking: Looking, runs: dict[str, str]
+) -> None:
+    label, run = runs["flip"].split("/")[2::2]
+    client.record(label, int(run))
+    page = looking.goto(service.address, runs["flip"])
+    panel = page.locator(".panel").filter(has=page.get_by_label("State"))
+    expect(panel.locator(".curve")).to_have_attribute("aria-label", "command.vx (m/s) over time")
+    page.get_by_label("State").fill("cloud.z")
+    page.get_by_role("option", name="cloud.z").click()
+    expect(panel.locator(".curve")).to_have_attribute(
+        "aria-label", "cloud.z, mean of its points (m) over time"
+    )
+
+
+def test_a_run_without_a_fault_is_flown_again(
+    service: Serving, looking: Looking, runs: dict[str, str]
+) -> None:
+    page = looking.goto(service.address, runs["golden"])
+    expect(page.get_by_role("button", name="Replay", exact=True)).to_be_disabled()
+    expect(page.get_by_text("the same in flip")).to_be_visible()
+    page.get_by_role("button", name="Fly again without fault").click()
+    page.wait_for_url("**/live?flight=*")
+    expect(page.get_by_role("link", name="Open the flight")).to_be_visible()
+
+
+def test_on_a_telephone_nothing_hangs_over_the_edge(
+    service: Serving, looking: Looking, runs: dict[str, str]
+) -> None:
+    looking.page.set_viewport_size({"width": 390, "height": 844})
+    page = looking.goto(service.address, runs["flip"])
+    expect(page.get_by_role("heading", name="Injection")).to_be_visible()
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_of_a_run_that_is_not_there_the_page_says_so(
+    service: Serving, looking: Looking, runs: dict[str, str]
+) -> None:
+    page = looking.goto(service.address, runs["flip"].rpartition("/")[0] + "/987654")
+    expect(page.get_by_role("alert")).to_contain_text("has no run 987654")
