@@ -29,10 +29,16 @@ from services.bus.mission import Site, Trigger
 from services.bus.node import GATE_SIGNAL
 
 SHORT_NS = 1_000_000
-"""Longest thread time of a call that is tried in single steps; a longer one surely has too many."""
+"""Longest thread time of a call of which so many single steps are tried; a longer one surely has too many."""
 
 MOST_STEPS = 150_000
 """Instructions after which a call counts as too long for the exact rung: some 3 s of wall time."""
+
+SLOW_NS, FEW_STEPS = 8_000_000, 25_000
+"""Up to this time fewer steps are tried: a copy takes it for a few thousand instructions on a slow machine.
+
+Most of its time goes by while it is given its memory, a page at a time: 0.2 to 1 ms in a call of 20 us.
+"""
 
 WINDOW = 2_000
 """Most single steps from a breakpoint to the site."""
@@ -164,9 +170,9 @@ def survey(
     """
     with scouts() as scout:
         took_ns = scout.run()
-    if took_ns <= SHORT_NS:
+    if took_ns <= SLOW_NS:
         with scouts() as scout:
-            trace, ended = scout.trace(MOST_STEPS)
+            trace, ended = scout.trace(MOST_STEPS if took_ns <= SHORT_NS else FEW_STEPS)
             inside = scope(scout.process)
             among = [at for at, address in enumerate(trace) if inside(address)]
             if ended and among:

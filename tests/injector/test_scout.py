@@ -125,13 +125,23 @@ class Recorded(Scout):
     """A scout whose call is run once, for many draws."""
 
     every: list[int]
+    took_ns: int = 0
 
     def run(self) -> int:
-        return 0
+        return self.took_ns
 
     def trace(self, most: int) -> tuple[list[int], bool]:
         assert most > len(self.every)
         return self.every, True
+
+
+def test_a_short_call_is_struck_exactly_on_a_slow_machine_too() -> None:
+    with caller(PASSES) as one, one.ahead() as scout:
+        every, _ = scout.trace(scouting.FEW_STEPS)
+        slow = Recorded(scout.tracees, scout.thread, scout.process, every, took_ns=5_000_000)
+        trigger = survey(lambda: nullcontext(slow), Trigger(), generator(0, "site"))
+    assert trigger.site is not None
+    assert trigger.site.rung == "exact"
 
 
 def test_within_a_scope_the_exact_rung_draws_all_its_instructions_alike() -> None:
