@@ -5,10 +5,12 @@ The call is a loop in machine code: ``passes`` times ``add rax,rcx``, then ``ret
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
 from injector.scout import Scout, sent_ahead
@@ -58,6 +60,7 @@ class Caller:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
+            process_group=0,
         )
         self.pid = self.process.pid
         self.loop = int(self.line())
@@ -104,5 +107,6 @@ def caller(passes: int) -> Iterator[Caller]:
     try:
         yield one
     finally:
-        one.process.kill()
+        with suppress(ProcessLookupError):
+            os.killpg(one.pid, signal.SIGKILL)  # its scouts too
         one.process.communicate()

@@ -18,6 +18,7 @@ from injector import scout as scouting
 from injector.process import Process
 from injector.scout import Scout, approach, rarest, survey
 from services.bus.mission import FaultSpec, Site, Trigger
+from services.bus.process_stat import process_stat
 from services.bus.rng import generator
 from tests.conftest import alive, descendants, wait_until
 from tests.injector.calls import LOOP, Caller, caller
@@ -251,10 +252,11 @@ def test_no_scout_is_left_behind() -> None:
 
 
 def test_a_scout_dies_with_its_node() -> None:
-    with caller(2_000_000_000) as one:
+    with caller(4_000_000_000) as one:
         one.tell("scout")
         wait_until(lambda: bool(descendants(one.pid)))
         (pid,) = descendants(one.pid)
+        wait_until(lambda: process_stat(pid).cpu_s > 0.05)  # it is in its call
         os.kill(pid, signal.SIGSTOP)  # it is not to end by itself
         one.process.kill()
         wait_until(lambda: not alive(pid))
