@@ -39,8 +39,11 @@ HANG_TIMES = 10
 HANG_MARGIN_S = 0.05
 """... this much more, hangs."""
 
-BLOCKED_LOOKS = 50
-"""Looks in a row at which a copy sleeps before it is taken to wait for ever."""
+ASLEEP_LOOKS = 5
+"""Looks at which a copy sleeps before it is taken to wait for ever: nobody else is there to wake it.
+
+They need not be in a row. Who waits for the interpreter's lock, which it holds itself, wakes every 5 ms.
+"""
 
 REHEARSALS = 5
 """Good calls by which the thread time of a call is known."""
@@ -164,8 +167,8 @@ class Strikes:
             report = ptrace.poll(copy.tid)
             if report is None:
                 if not signal.sigtimedwait({signal.SIGCHLD}, _LOOK_S):
-                    asleep = asleep + 1 if sleeps(copy.tid) else 0
-                    if asleep > BLOCKED_LOOKS or _cpu_s(copy.pid) > self._limit_s:
+                    asleep += sleeps(copy.tid)
+                    if asleep >= ASLEEP_LOOKS or _cpu_s(copy.pid) > self._limit_s:
                         return None
             elif report.kind == "gone":
                 del self._tracees.threads[copy.tid]
