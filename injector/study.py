@@ -110,8 +110,8 @@ class Strikes:
         self._kernel, self._subject, self._tracees = kernel, subject, tracees
         self._root = tracees.threads[pid]
         self._copies = Copies(tracees)
-        self._places: dict[int, elf.Place] = {}
-        self._maps = Maps(Path(f"/proc/{pid}/maps").read_text())
+        # The same in all copies.
+        self._places = elf.Places(pid, Maps(Path(f"/proc/{pid}/maps").read_text()))
         self._limit_s = _BEGIN_S
         took_s = sorted(self._rehearse() for _ in range(REHEARSALS))[REHEARSALS // 2]
         self._limit_s = HANG_TIMES * took_s + HANG_MARGIN_S
@@ -232,7 +232,7 @@ class Strikes:
                 steps=place.step,
             )
         else:
-            where = self._place(clock.anchors[place.anchor].address)
+            where = self._places.at(clock.anchors[place.anchor].address)
             site = Site(
                 rung="occurrence",
                 module=where.module,
@@ -243,18 +243,12 @@ class Strikes:
             )
         return Trigger(invocation=0, site=site)
 
-    def _place(self, address: int) -> elf.Place:
-        """Where code lies: the same in all copies, and found but once."""
-        if address not in self._places:
-            self._places[address] = elf.place(self._root.pid, self._maps, address)
-        return self._places[address]
-
     def _record(self, fault: FaultSpec, found: Strike) -> InjectionRecord:
         assert fault.trigger is not None  # noqa: S101 - made above
         assert fault.trigger.site is not None  # noqa: S101
         told = found.described()
         if found.instruction is not None:
-            where = self._place(found.instruction.address)
+            where = self._places.at(found.instruction.address)
             told |= {"module": where.module, "build_id": where.build_id}
             told |= {"offset": where.offset, "symbol": where.symbol}
         return InjectionRecord(
