@@ -12,11 +12,8 @@ from injector.sweep import Place, draw, legs
 from services.bus import rng
 from services.bus.mission import FaultSpec
 
-FIRST_ROUND = 0.9
-"""Part of the places that will do by the survey that are drawn at first; then it is known how many do."""
-
-MARGIN = 1.03
-"""So many times the places that will do are drawn afterwards: going through a call for a few more is dear."""
+MARGIN = 1.02
+"""So many times the places that will do are drawn: going through a call again for a few more is dear."""
 
 
 class Memory(Protocol):
@@ -94,8 +91,7 @@ class Study:
         clock = self._memory.clock
         assert clock is not None  # noqa: S101 - surveyed before
         rate = max(self._done(), 1) / self._drawn if self._drawn else clock.kept
-        margin = MARGIN if self._drawn else FIRST_ROUND
-        count = missing if rate >= 1 else int(missing / rate * margin) + 8
+        count = missing if rate >= 1 else int(missing / rate * MARGIN) + 8
         begin, self._drawn = self._drawn, self._drawn + count
         stream = f"place {self._kernel}"
         return [
