@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from deploy.study_workers import Workers
-from injector.clock import CHAINS, TRACE, Clock, clock_of, usable_anchors
+from injector.clock import CHAINS, REGISTERS, TRACE, Clock, clock_of, usable_anchors
 from injector.study import Answer, StudyRun, Task
 from injector.sweep import Place, draw, legs
 from services.bus import rng
@@ -70,8 +70,9 @@ class Study:
         chains = self._surveyed(workers, [Task(begin=first, chain=number) for number in range(CHAINS)])
         traces = [first, *sorted(trace for one in chains for trace in one.traces or ())]
         addresses = usable_anchors(traces)
-        parts = [addresses[at :: self._slots] for at in range(self._slots)]
-        counted = self._surveyed(workers, [Task(addresses=tuple(part)) for part in parts if part])
+        # One way through the call each, of which some take far longer than others.
+        parts = [addresses[at : at + REGISTERS] for at in range(0, len(addresses), REGISTERS)]
+        counted = self._surveyed(workers, [Task(addresses=tuple(part)) for part in parts])
         passes = dict(pair for one in counted for pair in one.passes or ())
         self._memory.survey(clock_of(traces, {address: passes[address] for address in addresses}))
 
