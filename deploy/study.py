@@ -6,17 +6,14 @@ from collections.abc import Callable
 from typing import Protocol
 
 from deploy.study_workers import Workers
-from injector.clock import CHAINS, TRACE, Clock, clock_of, usable_anchors
+from injector.clock import CHAINS, REGISTERS, TRACE, Clock, clock_of, usable_anchors
 from injector.study import Answer, StudyRun, Task
 from injector.sweep import Place, draw, legs
 from services.bus import rng
 from services.bus.mission import FaultSpec
 
-FIRST_ROUND = 0.9
-"""Part of the places that will do by the survey that are drawn at first; then it is known how many do."""
-
-MARGIN = 1.03
-"""So many times the places that will do are drawn afterwards: going through a call for a few more is dear."""
+MARGIN = 1.02
+"""So many times the places that will do are drawn: going through a call again for a few more is dear."""
 
 
 class Memory(Protocol):
@@ -73,8 +70,9 @@ class Study:
         chains = self._surveyed(workers, [Task(begin=first, chain=number) for number in range(CHAINS)])
         traces = [first, *sorted(trace for one in chains for trace in one.traces or ())]
         addresses = usable_anchors(traces)
-        parts = [addresses[at :: self._slots] for at in range(self._slots)]
-        counted = self._surveyed(workers, [Task(addresses=tuple(part)) for part in parts if part])
+        # One way through the call each, of which some take far longer than others.
+        parts = [addresses[at : at + REGISTERS] for at in range(0, len(addresses), REGISTERS)]
+        counted = self._surveyed(workers, [Task(addresses=tuple(part)) for part in parts])
         passes = dict(pair for one in counted for pair in one.passes or ())
         self._memory.survey(clock_of(traces, {address: passes[address] for address in addresses}))
 
@@ -94,8 +92,7 @@ class Study:
         clock = self._memory.clock
         assert clock is not None  # noqa: S101 - surveyed before
         rate = max(self._done(), 1) / self._drawn if self._drawn else clock.kept
-        margin = MARGIN if self._drawn else FIRST_ROUND
-        count = missing if rate >= 1 else int(missing / rate * margin) + 8
+        count = missing if rate >= 1 else int(missing / rate * MARGIN) + 8
         begin, self._drawn = self._drawn, self._drawn + count
         stream = f"place {self._kernel}"
         return [

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from injector.process import Mapping, Maps
 
@@ -43,37 +44,87 @@ class Place:
     symbol: str
 
 
+class Places:
+    """Where addresses of a process lie; each is found, and each file is read, but once."""
+
+    def __init__(self, pid: int, maps: Maps) -> None:
+        self._pid, self._maps = pid, maps
+        self._files: dict[str, _File] = {}
+        self._found: dict[int, Place] = {}
+
+    def at(self, address: int) -> Place:
+        """Where an address lies; what the file does not tell is left empty."""
+        if address not in self._found:
+            self._found[address] = self._find(address)
+        return self._found[address]
+
+    def _find(self, address: int) -> Place:
+        mapping = self._maps.at(address)
+        if mapping is None or not mapping.path:
+            return Place("", "", address, "")
+        if mapping.path not in self._files:
+            self._files[mapping.path] = _File(_content(self._pid, mapping.path))
+        file = self._files[mapping.path]
+        offset = file.virtual(address - mapping.start + mapping.offset)
+        name = Path(mapping.path).name.removesuffix(" (deleted)")
+        return Place(name, file.build_id, offset, file.symbol(offset))
+
+
 def place(pid: int, maps: Maps, address: int) -> Place:
-    """Where ``address`` lies; what the file does not tell is left empty."""
-    mapping = maps.at(address)
-    if mapping is None or not mapping.path:
-        return Place("", "", address, "")
-    name = Path(mapping.path).name.removesuffix(" (deleted)")
-    in_file = address - mapping.start + mapping.offset
-    content = _content(pid, mapping.path)
-    if content is None or content[:6] != b"\x7fELF\x02\x01":
-        return Place(name, "", in_file, "")
-    _, _, _, _, _, program, sections, _, _, _, programs, _, section_count, _ = _HEADER.unpack_from(content)
-    segments = [_PROGRAM.unpack_from(content, program + at * _PROGRAM.size) for at in range(programs)]
-    offset = in_file
-    build_id = ""
-    for kind, _, start, virtual, _, size, _, _ in segments:
-        if kind == _PT_LOAD and start <= in_file < start + size:
-            offset = in_file - start + virtual
-        if kind == _PT_NOTE:
-            build_id = build_id or _build_id(content[start : start + size])
-    return Place(name, build_id, offset, _symbol(content, sections, section_count, offset))
+    """Where one ``address`` lies; what the file does not tell is left empty."""
+    return Places(pid, maps).at(address)
+
+
+class _File:
+    """An ELF file; of another one nothing is told."""
+
+    def __init__(self, content: mmap.mmap | None) -> None:
+        self.build_id = ""
+        self._loaded: list[tuple[int, int, int]] = []
+        self._functions: list[tuple[int, NDArray[np.void]]] = []
+        self._content = content
+        if content is None or content[:6] != b"\x7fELF\x02\x01":
+            return
+        _, _, _, _, _, program, sections, _, _, _, programs, _, count, _ = _HEADER.unpack_from(content)
+        for at in range(programs):
+            kind, _, start, virtual, _, size, _, _ = _PROGRAM.unpack_from(
+                content, program + at * _PROGRAM.size
+            )
+            if kind == _PT_LOAD:
+                self._loaded.append((start, size, virtual))
+            if kind == _PT_NOTE:
+                self.build_id = self.build_id or _build_id(content[start : start + size])
+        for names, table in _tables(content, sections, count):
+            kinds = table["info"] & 15
+            self._functions.append((names, table[(kinds == _FUNCTIONS[0]) | (kinds == _FUNCTIONS[1])]))
+
+    def virtual(self, in_file: int) -> int:
+        """The virtual address of a byte of the file."""
+        found = in_file
+        for start, size, virtual in self._loaded:
+            if start <= in_file < start + size:
+                found = in_file - start + virtual
+        return found
+
+    def symbol(self, address: int) -> str:
+        """The function that covers an address; the full table is asked before that of exported names."""
+        for names, table in self._functions:
+            inside = np.flatnonzero((table["value"] <= address) & (address - table["value"] < table["size"]))
+            if len(inside) and self._content is not None:
+                return _name(self._content, names + int(table[inside[0]]["name"]))
+        return ""
 
 
 def locate(pid: int, maps: Maps, module: str, build_id: str, offset: int) -> int | None:
     """The address of what :func:`place` told; None if no such code is loaded."""
     if not module:
         return offset if maps.at(offset) is not None else None
+    places = Places(pid, maps)
     for mapping in maps.code():
         if Path(mapping.path).name.removesuffix(" (deleted)") != module:
             continue
         for address in (mapping.start, mapping.end - 1):
-            found = place(pid, maps, address)
+            found = places.at(address)
             nominal = address + offset - found.offset
             if found.build_id == build_id and mapping.start <= nominal < mapping.end:
                 return nominal
@@ -124,19 +175,7 @@ def _build_id(notes: bytes) -> str:
     return ""
 
 
-def _symbol(content: mmap.mmap, sections: int, count: int, address: int) -> str:
-    """The function that covers an address; the full table is asked before that of exported names."""
-    for names, table in _tables(content, sections, count):
-        inside = table[(table["value"] <= address) & (address - table["value"] < table["size"])]
-        found = inside[np.isin(inside["info"] & 15, _FUNCTIONS)]
-        if len(found):
-            return _name(content, names + int(found[0]["name"]))
-    return ""
-
-
-def _tables(
-    content: mmap.mmap, sections: int, count: int
-) -> Iterator[tuple[int, np.ndarray[tuple[int], np.dtype[np.void]]]]:
+def _tables(content: mmap.mmap, sections: int, count: int) -> Iterator[tuple[int, NDArray[np.void]]]:
     """Each table of symbols, after where the names begin that it refers to."""
     headers = [_SECTION.unpack_from(content, sections + at * _SECTION.size) for at in range(count)]
     for wanted in (_SHT_SYMTAB, _SHT_DYNSYM):

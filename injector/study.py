@@ -39,8 +39,11 @@ HANG_TIMES = 10
 HANG_MARGIN_S = 0.05
 """... this much more, hangs."""
 
-BLOCKED_LOOKS = 50
-"""Looks in a row at which a copy sleeps before it is taken to wait for ever."""
+ASLEEP_LOOKS = 5
+"""Looks at which a copy sleeps before it is taken to wait for ever: nobody else is there to wake it.
+
+They need not be in a row. Who waits for the interpreter's lock, which it holds itself, wakes every 5 ms.
+"""
 
 REHEARSALS = 5
 """Good calls by which the thread time of a call is known."""
@@ -107,8 +110,8 @@ class Strikes:
         self._kernel, self._subject, self._tracees = kernel, subject, tracees
         self._root = tracees.threads[pid]
         self._copies = Copies(tracees)
-        self._places: dict[int, elf.Place] = {}
-        self._maps = Maps(Path(f"/proc/{pid}/maps").read_text())
+        # The same in all copies.
+        self._places = elf.Places(pid, Maps(Path(f"/proc/{pid}/maps").read_text()))
         self._limit_s = _BEGIN_S
         took_s = sorted(self._rehearse() for _ in range(REHEARSALS))[REHEARSALS // 2]
         self._limit_s = HANG_TIMES * took_s + HANG_MARGIN_S
@@ -164,8 +167,8 @@ class Strikes:
             report = ptrace.poll(copy.tid)
             if report is None:
                 if not signal.sigtimedwait({signal.SIGCHLD}, _LOOK_S):
-                    asleep = asleep + 1 if sleeps(copy.tid) else 0
-                    if asleep > BLOCKED_LOOKS or _cpu_s(copy.pid) > self._limit_s:
+                    asleep += sleeps(copy.tid)
+                    if asleep >= ASLEEP_LOOKS or _cpu_s(copy.pid) > self._limit_s:
                         return None
             elif report.kind == "gone":
                 del self._tracees.threads[copy.tid]
@@ -229,7 +232,7 @@ class Strikes:
                 steps=place.step,
             )
         else:
-            where = self._place(clock.anchors[place.anchor].address)
+            where = self._places.at(clock.anchors[place.anchor].address)
             site = Site(
                 rung="occurrence",
                 module=where.module,
@@ -240,18 +243,12 @@ class Strikes:
             )
         return Trigger(invocation=0, site=site)
 
-    def _place(self, address: int) -> elf.Place:
-        """Where code lies: the same in all copies, and found but once."""
-        if address not in self._places:
-            self._places[address] = elf.place(self._root.pid, self._maps, address)
-        return self._places[address]
-
     def _record(self, fault: FaultSpec, found: Strike) -> InjectionRecord:
         assert fault.trigger is not None  # noqa: S101 - made above
         assert fault.trigger.site is not None  # noqa: S101
         told = found.described()
         if found.instruction is not None:
-            where = self._place(found.instruction.address)
+            where = self._places.at(found.instruction.address)
             told |= {"module": where.module, "build_id": where.build_id}
             told |= {"offset": where.offset, "symbol": where.symbol}
         return InjectionRecord(

@@ -69,14 +69,14 @@ def run(
     with closing(StudyFile(output)) as file, Progress(console=Console(stderr=True)) as progress:
         sections = {name: file.section(name, aimed, seed) for name, aimed in faults.items()}
         for name, section in sections.items():
-            known = len(section.runs)
-            task = progress.add_task(name, total=injections, completed=min(known, injections))
+            known = set(section.runs)
+            task = progress.add_task(name, total=injections, completed=min(len(known), injections))
             begin = time.monotonic()
             study = Study(
                 name, faults[name], injections, seed, slots or len(os.sched_getaffinity(0)), section
             )
             found[name] = study.run(lambda _, task=task: progress.advance(task))  # type: ignore[misc]
-            made = max(0, len(section.runs) - known)
+            made = sum(one.index not in known for one in found[name])
             section.finish(found[name])
             rates = made / (time.monotonic() - begin), 1e3 * study.cpu_s / made if made else 0.0
             assert section.clock is not None  # noqa: S101 - the study is made
