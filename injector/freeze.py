@@ -16,7 +16,7 @@ from typing import Literal, Self, TypeVar
 
 from injector import ptrace
 from injector.pause import Pause
-from injector.process import has_ended, sleeps, thread_count, threads, tracer_of
+from injector.process import TaskFolder, has_ended, sleeps, threads, tracer_of
 from injector.ptrace import Report
 
 STOP_LIMIT_S = 5.0
@@ -70,7 +70,7 @@ class Tracees:
         self._pause = Pause()
         self.leave_out: Callable[[int], object] = lambda _pause_ns: None
         """Told how long everybody stood, just before they go on."""
-        self._pids: list[int] = []
+        self._folders: dict[int, TaskFolder] = {}
         self._ending: list[Thread] = []
 
     @property
@@ -86,6 +86,8 @@ class Tracees:
         try:
             self.detach_all()
         finally:
+            while self._folders:
+                self._folders.popitem()[1].close()
             signal.pthread_sigmask(signal.SIG_SETMASK, self._signal_mask)
 
     # -- getting hold of them ----------------------------------------------------------------------
@@ -96,7 +98,8 @@ class Tracees:
         :raises NotPermittedError: if the kernel forbids it.
         """
         for pid in pids:
-            self._pids.append(pid)
+            if pid not in self._folders:
+                self._folders[pid] = TaskFolder(pid)
             self._seize_threads(pid)
 
     def _seize_threads(self, pid: int) -> bool:
@@ -168,10 +171,10 @@ class Tracees:
 
         :raises FreezeError: if one does not stop.
         """
+        self._seize_missed()  # most are found while the others run yet
         self._pause.begin()
         self._stop_every()
-        # Reading the list of threads while some come and go can miss one.
-        while sum(self._seize_threads(pid) for pid in self._incomplete()):
+        while self._seize_missed():
             self._stop_every()
         self.threads_stopped = len(self.threads)
 
@@ -212,10 +215,14 @@ class Tracees:
                     # be killed, it would go on in them untraced, and die of the first.
                     ptrace.resume(thread.tid)
 
-    def _incomplete(self) -> list[int]:
-        """The processes that have another number of threads than we hold."""
+    def _seize_missed(self) -> bool:
+        """Seize threads that we do not hold: reading the list of threads while some come and go can miss one.
+
+        Whether there were any. Only processes that have another number of threads than we hold are asked.
+        """
         held = Counter(thread.pid for thread in self.threads.values())
-        return [pid for pid in self._pids if thread_count(pid) != held[pid]]
+        missing = [pid for pid, folder in self._folders.items() if folder.count() != held[pid]]
+        return sum(self._seize_threads(pid) for pid in missing) > 0
 
     def _await_stops(self, threads: Sequence[Thread]) -> None:
         running = deque(threads)
