@@ -8,11 +8,11 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Literal, Self, TypeVar
+from typing import Literal, Self
 
 from injector import ptrace
 from injector.pause import Pause
@@ -32,7 +32,6 @@ QUIET_LIMIT_S = 0.1
 """Wall time for the threads beside the struck one to be asleep all at once."""
 
 _TRAPS = ("step", "timer", "gate")
-T = TypeVar("T")
 FAULTS = frozenset({signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGTRAP})
 
 
@@ -49,6 +48,11 @@ class Thread:
     report: Report | None = None
     signals: list[int] = field(default_factory=list)
     timed: bool = False  # a timer was set on it: a trap may be under way
+
+    @property
+    def stepped(self) -> bool:
+        """Whether it stands in single steps."""
+        return self.report is not None and self.report.kind == "step"
 
 
 class Tracees:
@@ -172,10 +176,11 @@ class Tracees:
         :raises FreezeError: if one does not stop.
         """
         self._seize_missed()  # most are found while the others run yet
+        self._stop([thread for thread in self.threads.values() if thread.stepped])
         self._pause.begin()
-        self._stop_every()
+        self._stop_running()
         while self._seize_missed():
-            self._stop_every()
+            self._stop_running()
         self.threads_stopped = len(self.threads)
 
     def quieten(self, thread: Thread) -> bool:
@@ -191,11 +196,10 @@ class Tracees:
             self._stop(others)
         return bool(asleep)
 
-    def _stop_every(self) -> None:
-        """Stop all threads, those too that others have started while they were being stopped."""
-        self._stop(self.threads.values())
-        while any(thread.report is None for thread in self.threads.values()):
-            self._stop(self.threads.values())
+    def _stop_running(self) -> None:
+        """Stop who runs, those too that others start while they are being stopped."""
+        while running := self._running():
+            self._stop(running)
 
     def _stop(self, threads: Iterable[Thread]) -> None:
         several = list(threads)
@@ -204,7 +208,7 @@ class Tracees:
 
     def _interrupt(self, threads: Iterable[Thread]) -> None:
         for thread in threads:
-            stepped = thread.report is not None and thread.report.kind == "step"
+            stepped = thread.stepped
             if thread.report is not None and not stepped:
                 continue
             thread.report = None
@@ -225,29 +229,35 @@ class Tracees:
         return sum(self._seize_threads(pid) for pid in missing) > 0
 
     def _await_stops(self, threads: Sequence[Thread]) -> None:
-        running = deque(threads)
-
-        def all_stand() -> Literal[True] | None:
-            # One after the other: each must be seen, but none more often than need be.
-            while running and (not self._runs(running[0]) or self._look(running[0]) is not None):
-                running.popleft()
-            return None if running else True
-
-        if self._wait(all_stand, STOP_LIMIT_S / 100):
-            return
+        # Who was asked last stands last, as a rule: once it does, nobody else need be waited for.
+        late = self._await_stop(reversed(threads), STOP_LIMIT_S / 100)
         # The first thread of a process reports its end only when all others have ended.
-        for thread in [one for one in running if self._runs(one) and has_ended(one.tid)]:
+        for thread in [one for one in late if has_ended(one.tid)]:
             self._ending.append(self.threads.pop(thread.tid))
-        if not self._wait(all_stand, STOP_LIMIT_S):
-            names = ", ".join(f"{thread.tid} of process {thread.pid}" for thread in running)
+        late = self._await_stop(late, STOP_LIMIT_S)
+        if late:
+            names = ", ".join(f"{thread.tid} of process {thread.pid}" for thread in late)
             message = f"did not stop within {STOP_LIMIT_S} s: thread {names}"
             raise FreezeError(message)
+
+    def _await_stop(self, threads: Iterable[Thread], limit_s: float) -> list[Thread]:
+        """Wait for the threads one after the other, each is looked at; who still runs then."""
+        deadline = time.monotonic() + limit_s
+        return [one for one in threads if self._runs(one) and self._await(one, deadline) is None]
 
     def _runs(self, thread: Thread) -> bool:
         return thread.report is None and self.threads.get(thread.tid) is thread
 
-    def _wait(self, look: Callable[[], T | None], limit_s: float) -> T | None:
-        return ptrace.wait_until(look, limit_s, yielding=not self._pause.under_way)
+    def _await(self, thread: Thread, deadline: float) -> Report | None:
+        """Take in what a running thread reports, if it does so in time."""
+        if not self._pause.under_way:
+            return ptrace.wait_until(lambda: self._look(thread), deadline - time.monotonic())
+        while True:
+            report = ptrace.await_report_or_signal(thread.tid)  # the pause's heartbeat at the latest
+            if report is not None:
+                return self._take_in(thread, report)
+            if time.monotonic() > deadline:
+                return None
 
     def resume_all(self) -> None:
         """Let all threads run, in the order in which they were seized; they stay traced."""
@@ -280,8 +290,10 @@ class Tracees:
 
         Others, which came while stepping, are sent again.
         """
+        if not thread.signals:
+            return 0
         at_signal = thread.report is not None and thread.report.kind in ("signal", *_TRAPS)
-        first = thread.signals.pop(0) if at_signal and thread.signals else 0
+        first = thread.signals.pop(0) if at_signal else 0
         for number in thread.signals:
             ptrace.send(thread.pid, thread.tid, number)
         thread.signals.clear()
@@ -299,7 +311,7 @@ class Tracees:
             thread.report = None
             with suppress(ptrace.GoneError):  # killed; its end is reported next
                 ptrace.step(thread.tid)
-            report = self._wait(lambda: self._look(thread), deadline - time.monotonic())
+            report = self._await(thread, deadline)
             if report is None:
                 return "stuck"
             if report.kind == "gone":
@@ -330,7 +342,7 @@ class Tracees:
         :raises FreezeError: if one cannot be stopped, which is needed to let go of it. The others are free.
         """
         try:
-            self._stop_every()
+            self._stop_running()
         finally:
             self._leave_pause_out()
             for thread in list(self.threads.values()):
@@ -352,7 +364,7 @@ class Tracees:
         while ptrace.timer_trap_pending(thread.tid):
             thread.report = None
             ptrace.resume(thread.tid)
-            self._wait(lambda: self._look(thread), STOP_LIMIT_S)
+            self._await(thread, time.monotonic() + STOP_LIMIT_S)
 
     def _reaped(self) -> Literal[True] | None:
         """Take in the ends of threads that were killed: their parent hears of it only after us."""
