@@ -33,8 +33,11 @@ def strike_register(at: Standing, fault: FaultSpec, draw: np.random.Generator) -
     if candidate.role == "destination":
         at.execute()
         change = _Change(registers_of(at.thread), fault, candidate, bits)
-    found = change.make(at)
-    return _hold(at, fault, candidate, found) if fault.model == "stuck_at" else found
+    read_back = change.make(at)
+    if fault.model == "stuck_at":
+        return _hold(at, fault, candidate, change.told(at, read_back))
+    at.go()
+    return change.told(at, read_back)
 
 
 class _Change:
@@ -49,14 +52,17 @@ class _Change:
         self._after = struck(fault, self._before, bits)
         registers.put(candidate.register, self._after)
 
-    def make(self, at: Standing) -> Strike:
-        """Make it, and read it back.
+    def make(self, at: Standing) -> int:
+        """Make it; what is read back.
 
         :raises GoneError: if the thread has been killed.
         """
         self._registers.commit()
+        return registers_of(at.thread).get(self._candidate.register)
+
+    def told(self, at: Standing, read_back: int) -> Strike:
+        """What was changed, and whether it is there."""
         candidate = self._candidate
-        read_back = registers_of(at.thread).get(candidate.register)
         accessed = (1 << candidate.width_bits) - 1
         return _judged(
             self._fault,
@@ -99,7 +105,8 @@ def _hold(at: Standing, fault: FaultSpec, candidate: Candidate, first: Strike) -
                 reason = f"held until {instruction.text}"
                 break
             step(at.tracees, at.thread, instruction)
-            again = _Change(registers_of(at.thread), fault, candidate, first.bits).make(at)
+            change = _Change(registers_of(at.thread), fault, candidate, first.bits)
+            again = change.told(at, change.make(at))
         except (TargetError, GoneError) as error:
             reason = f"held until the thread stopped short: {error}"
             break

@@ -60,7 +60,10 @@ class TargetError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """A thread that stands before an instruction; the others run until ``stop`` is called, if not stopped."""
+    """A thread that stands before an instruction; the others run until ``stop`` is called, if not stopped.
+
+    ``go`` may be called once all has been done to them, before it is told what: everybody goes on then.
+    """
 
     tracees: Tracees = field(repr=False)
     thread: Thread
@@ -68,6 +71,7 @@ class Standing:
     registers: Registers
     instruction: Instruction
     stop: Callable[[], object] = field(repr=False)
+    go: Callable[[], object] = field(repr=False)
 
     def execute(self) -> None:
         """Let the thread execute it.

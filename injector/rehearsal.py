@@ -39,7 +39,8 @@ def rehearse(fault: FaultSpec) -> None:
                     thread.timed = True
                     look(thread, process)
                     draw = rng.generator(0, "rehearsal", time)
-                    strike(tracees, thread, process, nothing, draw, stop=tracees.stop_all)
+                    stop, go = tracees.stop_all, tracees.detach_all
+                    strike(tracees, thread, process, nothing, draw, stop=stop, go=go)
     finally:
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)

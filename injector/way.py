@@ -203,7 +203,13 @@ class Way:
 
     def _strike(self) -> Strike | None:
         return strike(
-            self.tracees, self.thread, self.target, self.fault, self.draw, stop=self.tracees.stop_all
+            self.tracees,
+            self.thread,
+            self.target,
+            self.fault,
+            self.draw,
+            stop=self.tracees.stop_all,
+            go=self.tracees.detach_all,
         )
 
     def _await(self, insist: Callable[[], None]) -> Literal["trapped", "finished", "gone", "late"]:
