@@ -11,13 +11,13 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from typing import Literal, Self
 
 from injector import ptrace
 from injector.pause import Pause
 from injector.process import TaskFolder, has_ended, sleeps, threads, tracer_of
 from injector.ptrace import Report
+from injector.thread import TRAPS, Thread
 
 STOP_LIMIT_S = 5.0
 """Wall time within which a thread must stop; only one that hangs in a device driver takes longer."""
@@ -31,28 +31,11 @@ END_LIMIT_S = 1.0
 QUIET_LIMIT_S = 0.1
 """Wall time for the threads beside the struck one to be asleep all at once."""
 
-_TRAPS = ("step", "timer", "gate")
 FAULTS = frozenset({signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGTRAP})
 
 
 class FreezeError(Exception):
     """A thread did not stop in time."""
-
-
-@dataclass(slots=True, eq=False)
-class Thread:
-    """A traced thread: why it stands (None: it runs) and which signals it gets when it goes on."""
-
-    pid: int
-    tid: int
-    report: Report | None = None
-    signals: list[int] = field(default_factory=list)
-    timed: bool = False  # a timer was set on it: a trap may be under way
-
-    @property
-    def stepped(self) -> bool:
-        """Whether it stands in single steps."""
-        return self.report is not None and self.report.kind == "step"
 
 
 class Tracees:
@@ -141,7 +124,7 @@ class Tracees:
         """Let running threads go on that only have a signal or news to pass on; traps of ours stay."""
         for thread in self._running():
             report = self._look(thread)
-            if report is not None and report.kind not in ("gone", *_TRAPS):
+            if report is not None and report.kind not in ("gone", *TRAPS):
                 self._resume(thread)
 
     def _running(self) -> list[Thread]:
@@ -277,27 +260,13 @@ class Tracees:
 
     def _resume(self, thread: Thread) -> None:
         group_stop = thread.report is not None and thread.report.kind == "group_stop"
-        number = self._next_signal(thread)
+        number = thread.next_signal()
         thread.report = None
         with suppress(ptrace.GoneError):  # killed while it stood; its end is reported next
             if group_stop:
                 ptrace.listen(thread.tid)
             else:
                 ptrace.resume(thread.tid, number)
-
-    def _next_signal(self, thread: Thread) -> int:
-        """The signal to deliver on resuming: only a thread that stands at a signal takes one that way.
-
-        Others, which came while stepping, are sent again.
-        """
-        if not thread.signals:
-            return 0
-        at_signal = thread.report is not None and thread.report.kind in ("signal", *_TRAPS)
-        first = thread.signals.pop(0) if at_signal else 0
-        for number in thread.signals:
-            ptrace.send(thread.pid, thread.tid, number)
-        thread.signals.clear()
-        return first
 
     def step(self, thread: Thread) -> Literal["stepped", "ended", "faulted", "gone", "stuck"]:
         """Let a standing thread execute one instruction while the others stay as they are.
@@ -355,7 +324,7 @@ class Tracees:
         try:
             if thread.timed:
                 self._swallow_timer_trap(thread)
-            ptrace.detach(thread.tid, self._next_signal(thread))
+            ptrace.detach(thread.tid, thread.next_signal())
         except ptrace.GoneError:
             self._ending.append(thread)
 

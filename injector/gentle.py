@@ -18,10 +18,11 @@ from typing import Literal
 
 from injector import ptrace
 from injector.decode import DecodeError
-from injector.freeze import FAULTS, STEP_LIMIT_S, Thread, Tracees
+from injector.freeze import FAULTS, STEP_LIMIT_S, Tracees
 from injector.inject import TargetError, registers_of
 from injector.process import AddressError, CodeError, Process
 from injector.ptrace import GoneError, Report
+from injector.thread import Thread
 from injector.trigger import StepBreakpoint
 from injector.x86_64_flow import UnpredictableError, successors
 

@@ -8,10 +8,11 @@ from typing import Any, Literal
 
 from injector.architecture import HOST, decode
 from injector.decode import DecodeError, Instruction, Role
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.process import CodeError, Process
 from injector.ptrace import GoneError
 from injector.registers import Registers
+from injector.thread import Thread
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from injector.acts import ACTS, Act
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.inject import Standing, Strike, TargetError, stand
 from injector.process import AddressError, CodeError, Process
 from injector.ptrace import GoneError
 from injector.scope import within
+from injector.thread import Thread
 from services.bus.mission import FaultSpec
 
 SITES = 1000

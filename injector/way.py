@@ -9,12 +9,13 @@ from typing import Literal
 import numpy as np
 
 from injector.elf import locate
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.inject import Strike, TargetError, stand, step
 from injector.process import Maps, Process, sleeps
 from injector.ptrace import GoneError, wait_until
 from injector.site import Seen, look
 from injector.strike import strike
+from injector.thread import Thread
 from injector.trigger import Breakpoint, ThreadTimer, await_trap
 from services.bus.announce import Announcement
 from services.bus.mission import FaultSpec, Site
