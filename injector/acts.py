@@ -27,41 +27,59 @@ def strike_register(at: Standing, fault: FaultSpec, draw: np.random.Generator) -
         return None
     candidate, among = eligible[int(draw.integers(len(eligible)))]
     bits = draw_bits(fault, among, draw)
+    # A thread that stands keeps its registers: what becomes of them is worked out while the others still run.
+    change = _Change(at.registers, fault, candidate, bits)
     at.stop()
     if candidate.role == "destination":
         at.execute()
-    found = _change(at, fault, candidate, bits)
-    return _hold(at, fault, candidate, found) if fault.model == "stuck_at" else found
+        change = _Change(registers_of(at.thread), fault, candidate, bits)
+    read_back = change.make(at)
+    if fault.model == "stuck_at":
+        return _hold(at, fault, candidate, change.told(at, read_back))
+    at.go()
+    return change.told(at, read_back)
 
 
-def _change(at: Standing, fault: FaultSpec, candidate: Candidate, bits: tuple[int, ...]) -> Strike:
-    """Change bits of a register and read them back.
+class _Change:
+    """Bits of one register that are to be changed in a standing thread."""
 
-    :raises GoneError: if the thread has been killed.
-    """
-    accessed = (1 << candidate.width_bits) - 1
-    registers = registers_of(at.thread)
-    before = registers.get(candidate.register)
-    after = struck(fault, before, bits)
-    registers.put(candidate.register, after)
-    registers.commit()
-    read_back = registers_of(at.thread).get(candidate.register)
-    return _judged(
-        fault,
-        f"the kernel did not take the change of {candidate.register}",
-        Strike(
-            "injected",
-            instruction=at.instruction,
-            operand=candidate.role,
-            register=candidate.register,
-            width_bits=candidate.width_bits,
-            element_bits=candidate.element_bits,
-            bits=bits,
-            before=before & accessed,
-            after=after & accessed,
-            read_back=read_back & accessed,
-        ),
-    )
+    def __init__(
+        self, registers: Registers, fault: FaultSpec, candidate: Candidate, bits: tuple[int, ...]
+    ) -> None:
+        self._fault, self._candidate, self._bits = fault, candidate, bits
+        self._registers = registers
+        self._before = registers.get(candidate.register)
+        self._after = struck(fault, self._before, bits)
+        registers.put(candidate.register, self._after)
+
+    def make(self, at: Standing) -> int:
+        """Make it; what is read back.
+
+        :raises GoneError: if the thread has been killed.
+        """
+        self._registers.commit()
+        return registers_of(at.thread).get(self._candidate.register)
+
+    def told(self, at: Standing, read_back: int) -> Strike:
+        """What was changed, and whether it is there."""
+        candidate = self._candidate
+        accessed = (1 << candidate.width_bits) - 1
+        return _judged(
+            self._fault,
+            f"the kernel did not take the change of {candidate.register}",
+            Strike(
+                "injected",
+                instruction=at.instruction,
+                operand=candidate.role,
+                register=candidate.register,
+                width_bits=candidate.width_bits,
+                element_bits=candidate.element_bits,
+                bits=self._bits,
+                before=self._before & accessed,
+                after=self._after & accessed,
+                read_back=read_back & accessed,
+            ),
+        )
 
 
 def _judged(fault: FaultSpec, refused: str, found: Strike) -> Strike:
@@ -87,7 +105,8 @@ def _hold(at: Standing, fault: FaultSpec, candidate: Candidate, first: Strike) -
                 reason = f"held until {instruction.text}"
                 break
             step(at.tracees, at.thread, instruction)
-            again = _change(at, fault, candidate, first.bits)
+            change = _Change(registers_of(at.thread), fault, candidate, first.bits)
+            again = change.told(at, change.make(at))
         except (TargetError, GoneError) as error:
             reason = f"held until the thread stopped short: {error}"
             break

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from injector.copies import Copies
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
+from injector.thread import Thread
 from injector.trigger import Breakpoint, await_trap
 from services.bus.model import Strict
 

@@ -12,8 +12,9 @@ import signal
 from contextlib import suppress
 
 from injector import ptrace
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.ptrace import NT_PRSTATUS, Report
+from injector.thread import Thread
 from injector.x86_64 import entering, outside_of_calls
 
 _CLONE = 56

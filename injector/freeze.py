@@ -8,16 +8,16 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
-from typing import Literal, Self, TypeVar
+from typing import Literal, Self
 
 from injector import ptrace
 from injector.pause import Pause
-from injector.process import has_ended, sleeps, thread_count, threads, tracer_of
+from injector.process import TaskFolder, has_ended, sleeps, threads, tracer_of
 from injector.ptrace import Report
+from injector.thread import TRAPS, Thread
 
 STOP_LIMIT_S = 5.0
 """Wall time within which a thread must stop; only one that hangs in a device driver takes longer."""
@@ -31,24 +31,11 @@ END_LIMIT_S = 1.0
 QUIET_LIMIT_S = 0.1
 """Wall time for the threads beside the struck one to be asleep all at once."""
 
-_TRAPS = ("step", "timer", "gate")
-T = TypeVar("T")
 FAULTS = frozenset({signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE, signal.SIGTRAP})
 
 
 class FreezeError(Exception):
     """A thread did not stop in time."""
-
-
-@dataclass(slots=True, eq=False)
-class Thread:
-    """A traced thread: why it stands (None: it runs) and which signals it gets when it goes on."""
-
-    pid: int
-    tid: int
-    report: Report | None = None
-    signals: list[int] = field(default_factory=list)
-    timed: bool = False  # a timer was set on it: a trap may be under way
 
 
 class Tracees:
@@ -70,7 +57,7 @@ class Tracees:
         self._pause = Pause()
         self.leave_out: Callable[[int], object] = lambda _pause_ns: None
         """Told how long everybody stood, just before they go on."""
-        self._pids: list[int] = []
+        self._folders: dict[int, TaskFolder] = {}
         self._ending: list[Thread] = []
 
     @property
@@ -86,6 +73,8 @@ class Tracees:
         try:
             self.detach_all()
         finally:
+            while self._folders:
+                self._folders.popitem()[1].close()
             signal.pthread_sigmask(signal.SIG_SETMASK, self._signal_mask)
 
     # -- getting hold of them ----------------------------------------------------------------------
@@ -96,7 +85,8 @@ class Tracees:
         :raises NotPermittedError: if the kernel forbids it.
         """
         for pid in pids:
-            self._pids.append(pid)
+            if pid not in self._folders:
+                self._folders[pid] = TaskFolder(pid)
             self._seize_threads(pid)
 
     def _seize_threads(self, pid: int) -> bool:
@@ -134,7 +124,7 @@ class Tracees:
         """Let running threads go on that only have a signal or news to pass on; traps of ours stay."""
         for thread in self._running():
             report = self._look(thread)
-            if report is not None and report.kind not in ("gone", *_TRAPS):
+            if report is not None and report.kind not in ("gone", *TRAPS):
                 self._resume(thread)
 
     def _running(self) -> list[Thread]:
@@ -168,11 +158,12 @@ class Tracees:
 
         :raises FreezeError: if one does not stop.
         """
+        self._seize_missed()  # most are found while the others run yet
+        self._stop([thread for thread in self.threads.values() if thread.stepped])
         self._pause.begin()
-        self._stop_every()
-        # Reading the list of threads while some come and go can miss one.
-        while sum(self._seize_threads(pid) for pid in self._incomplete()):
-            self._stop_every()
+        self._stop_running()
+        while self._seize_missed():
+            self._stop_running()
         self.threads_stopped = len(self.threads)
 
     def quieten(self, thread: Thread) -> bool:
@@ -188,11 +179,10 @@ class Tracees:
             self._stop(others)
         return bool(asleep)
 
-    def _stop_every(self) -> None:
-        """Stop all threads, those too that others have started while they were being stopped."""
-        self._stop(self.threads.values())
-        while any(thread.report is None for thread in self.threads.values()):
-            self._stop(self.threads.values())
+    def _stop_running(self) -> None:
+        """Stop who runs, those too that others start while they are being stopped."""
+        while running := self._running():
+            self._stop(running)
 
     def _stop(self, threads: Iterable[Thread]) -> None:
         several = list(threads)
@@ -201,7 +191,7 @@ class Tracees:
 
     def _interrupt(self, threads: Iterable[Thread]) -> None:
         for thread in threads:
-            stepped = thread.report is not None and thread.report.kind == "step"
+            stepped = thread.stepped
             if thread.report is not None and not stepped:
                 continue
             thread.report = None
@@ -212,35 +202,45 @@ class Tracees:
                     # be killed, it would go on in them untraced, and die of the first.
                     ptrace.resume(thread.tid)
 
-    def _incomplete(self) -> list[int]:
-        """The processes that have another number of threads than we hold."""
+    def _seize_missed(self) -> bool:
+        """Seize threads that we do not hold: reading the list of threads while some come and go can miss one.
+
+        Whether there were any. Only processes that have another number of threads than we hold are asked.
+        """
         held = Counter(thread.pid for thread in self.threads.values())
-        return [pid for pid in self._pids if thread_count(pid) != held[pid]]
+        missing = [pid for pid, folder in self._folders.items() if folder.count() != held[pid]]
+        return sum(self._seize_threads(pid) for pid in missing) > 0
 
     def _await_stops(self, threads: Sequence[Thread]) -> None:
-        running = deque(threads)
-
-        def all_stand() -> Literal[True] | None:
-            # One after the other: each must be seen, but none more often than need be.
-            while running and (not self._runs(running[0]) or self._look(running[0]) is not None):
-                running.popleft()
-            return None if running else True
-
-        if self._wait(all_stand, STOP_LIMIT_S / 100):
-            return
+        # Who was asked last stands last, as a rule: once it does, nobody else need be waited for.
+        late = self._await_stop(reversed(threads), STOP_LIMIT_S / 100)
         # The first thread of a process reports its end only when all others have ended.
-        for thread in [one for one in running if self._runs(one) and has_ended(one.tid)]:
+        for thread in [one for one in late if has_ended(one.tid)]:
             self._ending.append(self.threads.pop(thread.tid))
-        if not self._wait(all_stand, STOP_LIMIT_S):
-            names = ", ".join(f"{thread.tid} of process {thread.pid}" for thread in running)
+        late = self._await_stop(late, STOP_LIMIT_S)
+        if late:
+            names = ", ".join(f"{thread.tid} of process {thread.pid}" for thread in late)
             message = f"did not stop within {STOP_LIMIT_S} s: thread {names}"
             raise FreezeError(message)
+
+    def _await_stop(self, threads: Iterable[Thread], limit_s: float) -> list[Thread]:
+        """Wait for the threads one after the other, each is looked at; who still runs then."""
+        deadline = time.monotonic() + limit_s
+        return [one for one in threads if self._runs(one) and self._await(one, deadline) is None]
 
     def _runs(self, thread: Thread) -> bool:
         return thread.report is None and self.threads.get(thread.tid) is thread
 
-    def _wait(self, look: Callable[[], T | None], limit_s: float) -> T | None:
-        return ptrace.wait_until(look, limit_s, yielding=not self._pause.under_way)
+    def _await(self, thread: Thread, deadline: float) -> Report | None:
+        """Take in what a running thread reports, if it does so in time."""
+        if not self._pause.under_way:
+            return ptrace.wait_until(lambda: self._look(thread), deadline - time.monotonic())
+        while True:
+            report = ptrace.await_report_or_signal(thread.tid)  # the pause's heartbeat at the latest
+            if report is not None:
+                return self._take_in(thread, report)
+            if time.monotonic() > deadline:
+                return None
 
     def resume_all(self) -> None:
         """Let all threads run, in the order in which they were seized; they stay traced."""
@@ -260,25 +260,13 @@ class Tracees:
 
     def _resume(self, thread: Thread) -> None:
         group_stop = thread.report is not None and thread.report.kind == "group_stop"
-        number = self._next_signal(thread)
+        number = thread.next_signal()
         thread.report = None
         with suppress(ptrace.GoneError):  # killed while it stood; its end is reported next
             if group_stop:
                 ptrace.listen(thread.tid)
             else:
                 ptrace.resume(thread.tid, number)
-
-    def _next_signal(self, thread: Thread) -> int:
-        """The signal to deliver on resuming: only a thread that stands at a signal takes one that way.
-
-        Others, which came while stepping, are sent again.
-        """
-        at_signal = thread.report is not None and thread.report.kind in ("signal", *_TRAPS)
-        first = thread.signals.pop(0) if at_signal and thread.signals else 0
-        for number in thread.signals:
-            ptrace.send(thread.pid, thread.tid, number)
-        thread.signals.clear()
-        return first
 
     def step(self, thread: Thread) -> Literal["stepped", "ended", "faulted", "gone", "stuck"]:
         """Let a standing thread execute one instruction while the others stay as they are.
@@ -292,7 +280,7 @@ class Tracees:
             thread.report = None
             with suppress(ptrace.GoneError):  # killed; its end is reported next
                 ptrace.step(thread.tid)
-            report = self._wait(lambda: self._look(thread), deadline - time.monotonic())
+            report = self._await(thread, deadline)
             if report is None:
                 return "stuck"
             if report.kind == "gone":
@@ -323,7 +311,7 @@ class Tracees:
         :raises FreezeError: if one cannot be stopped, which is needed to let go of it. The others are free.
         """
         try:
-            self._stop_every()
+            self._stop_running()
         finally:
             self._leave_pause_out()
             for thread in list(self.threads.values()):
@@ -336,7 +324,7 @@ class Tracees:
         try:
             if thread.timed:
                 self._swallow_timer_trap(thread)
-            ptrace.detach(thread.tid, self._next_signal(thread))
+            ptrace.detach(thread.tid, thread.next_signal())
         except ptrace.GoneError:
             self._ending.append(thread)
 
@@ -345,7 +333,7 @@ class Tracees:
         while ptrace.timer_trap_pending(thread.tid):
             thread.report = None
             ptrace.resume(thread.tid)
-            self._wait(lambda: self._look(thread), STOP_LIMIT_S)
+            self._await(thread, time.monotonic() + STOP_LIMIT_S)
 
     def _reaped(self) -> Literal[True] | None:
         """Take in the ends of threads that were killed: their parent hears of it only after us."""

@@ -18,10 +18,11 @@ from typing import Literal
 
 from injector import ptrace
 from injector.decode import DecodeError
-from injector.freeze import FAULTS, STEP_LIMIT_S, Thread, Tracees
+from injector.freeze import FAULTS, STEP_LIMIT_S, Tracees
 from injector.inject import TargetError, registers_of
 from injector.process import AddressError, CodeError, Process
 from injector.ptrace import GoneError, Report
+from injector.thread import Thread
 from injector.trigger import StepBreakpoint
 from injector.x86_64_flow import UnpredictableError, successors
 
@@ -86,7 +87,7 @@ class GentleTracees(Tracees):
             thread.report = None
             with suppress(GoneError):  # killed; its end is reported next
                 ptrace.resume(thread.tid)
-            report = self._wait(lambda: self._look_at_all(thread), deadline - time.monotonic())
+            report = self._await_step(thread, deadline)
             if report is None:
                 self._leave_steps()
                 return "stuck"
@@ -132,6 +133,11 @@ class GentleTracees(Tracees):
             one.close()
         self._breakpoints.clear()
         self._stepping = None
+
+    def _await_step(self, thread: Thread, deadline: float) -> Report | None:
+        if self._pause.under_way:  # the others stand
+            return self._await(thread, deadline)
+        return ptrace.wait_until(lambda: self._look_at_all(thread), deadline - time.monotonic())
 
     def _look_at_all(self, thread: Thread) -> Report | None:
         found = self._look(thread)

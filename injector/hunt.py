@@ -15,12 +15,12 @@ from typing import Literal
 import numpy as np
 
 from injector.acts import Act
-from injector.freeze import Thread
 from injector.gentle import GentleTracees
 from injector.inject import Strike, TargetError, registers_of, stand
 from injector.process import AddressError, Mapping, Process
 from injector.ptrace import GoneError, wait_until
 from injector.strike import strike
+from injector.thread import Thread
 from injector.trigger import Breakpoint, ThreadTimer
 from injector.way import JITTER_STEPS, SYSTEM_CALLS, MissedError
 from services.bus.mission import FaultSpec

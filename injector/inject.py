@@ -8,10 +8,11 @@ from typing import Any, Literal
 
 from injector.architecture import HOST, decode
 from injector.decode import DecodeError, Instruction, Role
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.process import CodeError, Process
 from injector.ptrace import GoneError
 from injector.registers import Registers
+from injector.thread import Thread
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,10 @@ class TargetError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """A thread that stands before an instruction; the others run until ``stop`` is called, if not stopped."""
+    """A thread that stands before an instruction; the others run until ``stop`` is called, if not stopped.
+
+    ``go`` may be called once all has been done to them, before it is told what: everybody goes on then.
+    """
 
     tracees: Tracees = field(repr=False)
     thread: Thread
@@ -68,6 +72,7 @@ class Standing:
     registers: Registers
     instruction: Instruction
     stop: Callable[[], object] = field(repr=False)
+    go: Callable[[], object] = field(repr=False)
 
     def execute(self) -> None:
         """Let the thread execute it.

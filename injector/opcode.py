@@ -9,8 +9,9 @@ import numpy as np
 
 from injector.architecture import decode
 from injector.decode import DecodeError, Instruction
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.process import LONGEST_INSTRUCTION, AddressError, Process
+from injector.thread import Thread
 from services.bus.fault_model import draw_bits, groups
 from services.bus.mission import FaultSpec
 

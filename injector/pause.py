@@ -2,13 +2,16 @@
 
 Another process that takes our processor, or a node that we have just let go, would keep the rest standing for
 the 4 ms of a time slice. Where the kernel grants it (CAP_SYS_NICE, or a limit RLIMIT_RTPRIO), our priority is
-real-time from just before the first stop until after the last resume. Source: sched(7).
+real-time from just before the first stop until after the last resume (sched(7)). A wait in it is for one
+thread alone, and a :class:`injector.heartbeat.Heartbeat` ends it.
 """
 
 from __future__ import annotations
 
 import os
 import time
+
+from injector.heartbeat import Heartbeat
 
 _LOWEST = 1
 
@@ -20,6 +23,7 @@ class Pause:
         self.length_us = 0.0
         self._begin_ns = 0
         self._usual: tuple[int, os.sched_param] | None = None
+        self._heartbeat: Heartbeat | None = None
 
     @property
     def under_way(self) -> bool:
@@ -32,9 +36,13 @@ class Pause:
         return time.monotonic_ns() - self._begin_ns
 
     def begin(self) -> None:
-        """The first is about to be stopped; nothing happens if a pause is under way."""
+        """The first is about to be stopped; nothing happens if a pause is under way.
+
+        :raises OSError: if the kernel gives us no timer.
+        """
         if self.under_way:
             return
+        self._heartbeat = Heartbeat()
         usual = os.sched_getscheduler(0), os.sched_getparam(0)
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_LOWEST))
@@ -50,6 +58,8 @@ class Pause:
             return
         self.length_us = self.so_far_ns / 1e3
         self._begin_ns = 0
+        if self._heartbeat is not None:
+            self._heartbeat.stop()
         if self._usual is not None:
             os.sched_setscheduler(0, *self._usual)
             self._usual = None

@@ -7,7 +7,7 @@ import os
 import select
 from bisect import bisect_right
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -260,12 +260,25 @@ def threads(pid: int) -> list[int]:
         return []
 
 
-def thread_count(pid: int) -> int:
-    """How many threads a process has; 0 if it is gone. Much cheaper than listing them."""
-    try:
-        return os.stat(f"/proc/{pid}/task").st_nlink - 2  # noqa: PTH116
-    except OSError:
-        return 0
+class TaskFolder:
+    """Counts a process's threads. Held open: quicker than to find it, and the pid cannot change hands."""
+
+    def __init__(self, pid: int) -> None:
+        """Open it, if the process is there."""
+        self._descriptor: int | None = None
+        with suppress(OSError):
+            self._descriptor = os.open(f"/proc/{pid}/task", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+
+    def count(self) -> int:
+        """How many threads there are; 0 if the process is gone. Much cheaper than listing them."""
+        if self._descriptor is None:
+            return 0
+        return max(0, os.fstat(self._descriptor).st_nlink - 2)
+
+    def close(self) -> None:
+        """Let go of it."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
 
 
 def has_ended(tid: int) -> bool:

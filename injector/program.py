@@ -17,11 +17,12 @@ import numpy as np
 
 from injector.architecture import decode
 from injector.decode import DecodeError
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.inject import registers_of
 from injector.process import CodeError, Identity, IdentityError, Process
 from injector.scout import LIMIT_S, MOST_STEPS, approach
 from injector.symbols import function_at
+from injector.thread import Thread
 from injector.trigger import Breakpoint, ThreadTimer, await_trap
 from services.bus.announce import Announcement, start_ticks
 from services.bus.mission import MissionSpec, Trigger

@@ -29,6 +29,7 @@ _STOPPED_AT_TRAP = signal.SIGTRAP << 8 | 0x7F
 _O_TRACESYSGOOD, _O_TRACEFORK, _O_TRACECLONE, _O_TRACEEXEC, _O_EXITKILL = 0x1, 0x2, 0x8, 0x10, 0x100000
 _WALL = 0x40000000
 _EVENT_STOP = 128
+_STOPPED_BY_INTERRUPT = _EVENT_STOP << 16 | _STOPPED_AT_TRAP
 _EVENTS: dict[int, Kind] = {1: "new_process", 3: "new_thread", 4: "program"}  # PTRACE_EVENT_FORK, CLONE, EXEC
 _STOPPED_AT_CALL = signal.SIGTRAP | 0x80
 _CALL_INFO = struct.Struct("=B3xIQQ7Q")  # which end, architecture, where it is, stack; number, arguments
@@ -45,9 +46,6 @@ _OUR_TRAPS: dict[int, Kind] = {_TRAP_BRKPT: "step", _TRAP_TRACE: "step", _TRAP_P
 
 SPIN_NS = 200_000
 """How long a wait polls before it sleeps: a single step takes 20 us, waking from sleep 15 us more."""
-
-PAUSE_SPIN_NS = 30_000
-"""The same in a pause, when our processor is not yielded: a stop on another one takes as long."""
 
 _SLICE_S = 0.001
 """Longest sleep of a wait: another thread of ours may have taken the SIGCHLD that was to end it."""
@@ -72,12 +70,14 @@ Kind = Literal[
     "signal",
 ]
 
-# These calls never wait. With the interpreter's lock let go of, another thread of ours could take it and then
-# be kept from running, and we with it.
+# These calls never wait, but for a tracee in a pause. With the interpreter's lock let go of, another thread
+# of ours could take it and then be kept from running, and we with it.
 _libc = ctypes.PyDLL(None, use_errno=True)
 _ptrace = _libc.ptrace
 _ptrace.restype = ctypes.c_long
 _ptrace.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
+_waitpid = _libc.waitpid
+_waitpid.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_int]
 
 
 class PtraceError(Exception):
@@ -108,6 +108,9 @@ class Report:
     kind: Kind
     signal: int = 0
     exit_status: int = 0
+
+
+_INTERRUPTED = Report("interrupted", signal.SIGTRAP)
 
 
 class SystemCall(NamedTuple):
@@ -280,6 +283,17 @@ def await_report(tid: int) -> Report:
     return _report(tid, os.waitpid(tid, _WALL)[1])
 
 
+def await_report_or_signal(tid: int) -> Report | None:
+    """Wait for what a tracee has to report; None if a signal that we handle came first.
+
+    Other tracees' reports do not wake us, as they do where SIGCHLD is waited for.
+    """
+    status = ctypes.c_int()
+    if _waitpid(tid, ctypes.addressof(status), _WALL) == tid:
+        return _report(tid, status.value)
+    return None if ctypes.get_errno() == errno.EINTR else Report("gone")
+
+
 def poll(tid: int) -> Report | None:
     """What a tracee has to report, if anything; it then stands (or is gone)."""
     try:
@@ -291,6 +305,8 @@ def poll(tid: int) -> Report | None:
 
 def _report(tid: int, status: int) -> Report:
     """What the status of a wait tells."""
+    if status == _STOPPED_BY_INTERRUPT:  # what is met in a pause
+        return _INTERRUPTED
     if not os.WIFSTOPPED(status):
         killed = os.WIFSIGNALED(status)
         return Report("gone", os.WTERMSIG(status)) if killed else Report("gone", 0, os.WEXITSTATUS(status))
@@ -326,13 +342,12 @@ def hear_of_children() -> set[signal.Signals]:
     return set(signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD}))  # type: ignore[arg-type]
 
 
-def wait_until(look: Callable[[], T | None], limit_s: float, *, yielding: bool = True) -> T | None:
+def wait_until(look: Callable[[], T | None], limit_s: float) -> T | None:
     """Call ``look`` until it finds something; None after ``limit_s``.
 
-    Polls for :data:`SPIN_NS`, ``yielding`` to others meanwhile, or else for :data:`PAUSE_SPIN_NS`; then
-    sleeps until a tracee reports. Who yields where others have work gets on after a time slice of theirs.
+    Polls for :data:`SPIN_NS`, yielding to others meanwhile; then sleeps until a tracee reports. Who yields
+    where others have work gets on after a time slice of theirs.
     """
-    spin_ns = SPIN_NS if yielding else PAUSE_SPIN_NS
     begin = time.monotonic_ns()
     while True:
         found = look()
@@ -341,7 +356,7 @@ def wait_until(look: Callable[[], T | None], limit_s: float, *, yielding: bool =
         waited_ns = time.monotonic_ns() - begin
         if waited_ns >= limit_s * 1e9:
             return None
-        if waited_ns > spin_ns:
+        if waited_ns > SPIN_NS:
             signal.sigtimedwait({signal.SIGCHLD}, _SLICE_S)
-        elif yielding:
+        else:
             os.sched_yield()  # tracees on our own processor need it to get anywhere

@@ -30,15 +30,17 @@ def rehearse(fault: FaultSpec) -> None:
             pass
         os._exit(1)
     try:
-        with Process(Identity.of(pid)) as process, Tracees() as tracees:
-            tracees.seize([pid])
+        with Process(Identity.of(pid)) as process:
             for time in range(TIMES):
-                tracees.stop_all()
-                thread = tracees.threads[pid]
-                look(thread, process)
-                draw = rng.generator(0, "rehearsal", time)
-                strike(tracees, thread, process, nothing, draw, stop=tracees.stop_all)
-                tracees.resume_all()
+                with Tracees() as tracees:  # letting go is part of it
+                    tracees.seize([pid])
+                    tracees.stop_all()
+                    thread = tracees.threads[pid]
+                    thread.timed = True
+                    look(thread, process)
+                    draw = rng.generator(0, "rehearsal", time)
+                    stop, go = tracees.stop_all, tracees.detach_all
+                    strike(tracees, thread, process, nothing, draw, stop=stop, go=go)
     finally:
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)

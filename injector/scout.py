@@ -20,9 +20,10 @@ import numpy as np
 from injector.architecture import decode
 from injector.decode import DecodeError
 from injector.elf import place
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.process import CodeError, Identity, Process
 from injector.ptrace import wait_until
+from injector.thread import Thread
 from injector.trigger import Breakpoint, ThreadTimer, await_trap
 from services.bus.announce import Announcement
 from services.bus.mission import Site, Trigger

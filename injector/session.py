@@ -8,9 +8,10 @@ from contextlib import ExitStack, suppress
 import numpy as np
 
 from injector.elf import place
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.inject import Strike
 from injector.process import Identity, IdentityError, Process, VanishedError
+from injector.thread import Thread
 from injector.way import Call, Way
 from services.bus.announce import Announcement
 from services.bus.mission import FaultSpec

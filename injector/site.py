@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 
-from injector.freeze import Thread
 from injector.inject import stand
 from injector.process import Process
+from injector.thread import Thread
 
 
 @dataclass(frozen=True, slots=True)

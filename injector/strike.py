@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from injector.acts import ACTS, Act
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.inject import Standing, Strike, TargetError, stand
 from injector.process import AddressError, CodeError, Process
 from injector.ptrace import GoneError
 from injector.scope import within
+from injector.thread import Thread
 from services.bus.mission import FaultSpec
 
 SITES = 1000
@@ -33,6 +34,7 @@ def strike(
     draw: np.random.Generator,
     act: Act | None = None,
     stop: Callable[[], object] = lambda: None,
+    go: Callable[[], object] = lambda: None,
 ) -> Strike | None:
     """Do to a standing thread what ``fault`` says, at its next instruction within the scope that offers it.
 
@@ -40,7 +42,8 @@ def strike(
     and role; then the number within it, if a field is asked for; then the bits. A source is struck before
     the instruction, a destination after it (after one iteration, if it repeats). ``act`` takes the place of
     what the fault's model does. ``stop``, which is to stop everybody else, is called before anything is
-    changed and not earlier: what can be drawn while the others still run need not hold them up.
+    changed and not earlier: what can be drawn while the others still run need not hold them up. ``go``, which
+    is to let everybody go, the thread too, may be called before this returns, not to hold them up by telling.
 
     None: the thread is in a system call or about to enter one (or to show the program that it is being
     stepped). That is no user instruction; the thread must run on first.
@@ -53,7 +56,7 @@ def strike(
             registers, instruction = stand(thread, process)
             if registers.in_system_call or not instruction.steppable:
                 return None
-            standing = Standing(tracees, thread, process, registers, instruction, stop)
+            standing = Standing(tracees, thread, process, registers, instruction, stop, go)
             if not inside(instruction.address):
                 linger = linger if outside else int(draw.integers(LINGER + 1))
                 outside += 1

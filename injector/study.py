@@ -19,13 +19,14 @@ from typing import Literal
 from injector import elf, ptrace
 from injector.clock import Clock, Surveyor
 from injector.copies import Copies
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.inject import Strike
 from injector.process import Identity, Maps, Process, sleeps
 from injector.ptrace import GoneError, Report, wait_until
 from injector.strike import strike
 from injector.subject import MARK, Subject
 from injector.sweep import BEGINNING, Place, Sweep
+from injector.thread import Thread
 from services.bus import rng
 from services.bus.mission import FaultSpec, Site, Trigger
 from services.bus.model import Strict

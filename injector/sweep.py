@@ -14,8 +14,9 @@ import numpy as np
 from injector import ptrace
 from injector.clock import LIMIT_S, REGISTERS, Clock, ClockError
 from injector.copies import Copies
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.ptrace import Report
+from injector.thread import Thread
 from injector.trigger import Breakpoint, await_trap
 from services.bus.model import Strict
 

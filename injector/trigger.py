@@ -15,8 +15,9 @@ import struct
 from collections.abc import Callable
 from typing import Literal
 
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.ptrace import GoneError, wait_until
+from injector.thread import Thread
 
 SHORTEST_NS = 10_000
 """The kernel's timer takes no shorter period."""

@@ -9,12 +9,13 @@ from typing import Literal
 import numpy as np
 
 from injector.elf import locate
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.inject import Strike, TargetError, stand, step
 from injector.process import Maps, Process, sleeps
 from injector.ptrace import GoneError, wait_until
 from injector.site import Seen, look
 from injector.strike import strike
+from injector.thread import Thread
 from injector.trigger import Breakpoint, ThreadTimer, await_trap
 from services.bus.announce import Announcement
 from services.bus.mission import FaultSpec, Site
@@ -203,7 +204,13 @@ class Way:
 
     def _strike(self) -> Strike | None:
         return strike(
-            self.tracees, self.thread, self.target, self.fault, self.draw, stop=self.tracees.stop_all
+            self.tracees,
+            self.thread,
+            self.target,
+            self.fault,
+            self.draw,
+            stop=self.tracees.stop_all,
+            go=self.tracees.detach_all,
         )
 
     def _await(self, insist: Callable[[], None]) -> Literal["trapped", "finished", "gone", "late"]:

@@ -15,10 +15,11 @@ from pathlib import Path
 
 import pytest
 
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.inject import registers_of
 from injector.process import Identity, Process
 from injector.ptrace import wait_until
+from injector.thread import Thread
 
 MARK = signal.SIGUSR1
 PATIENCE_S = 30.0

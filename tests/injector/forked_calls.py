@@ -16,9 +16,10 @@ from typing import NamedTuple
 import pytest
 
 from injector.copies import Copies
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.ptrace import wait_until
 from injector.subject import MARK
+from injector.thread import Thread
 from injector.vdso import clocks_by_system_calls
 
 PATIENCE_S = 60.0

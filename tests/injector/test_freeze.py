@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from injector import ptrace
+from injector import freeze, ptrace
 from injector.freeze import Tracees
 from injector.inject import registers_of
 from injector.process import threads, tracer_of
@@ -63,6 +63,13 @@ print("ready", flush=True)
 print(sys.stdin.read())
 """
 
+UNSTOPPABLE = """
+import ctypes, os, time
+if not ctypes.CDLL(None).vfork():  # whoever has forked so is not to be disturbed until the child is gone
+    os.write(1, b"ready\\n")
+    time.sleep(600)
+"""
+
 BREEDER = """
 import sys, threading
 print("ready", flush=True)
@@ -75,7 +82,10 @@ while True:
 
 def python(program: str) -> subprocess.Popen[bytes]:
     process = subprocess.Popen(
-        [sys.executable, "-I", "-S", "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        [sys.executable, "-I", "-S", "-c", program],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        process_group=0,
     )
     assert process.stdout is not None
     assert process.stdout.readline() == b"ready\n"
@@ -151,6 +161,29 @@ def test_a_thread_that_was_missed_is_caught_when_all_are_stopped() -> None:
         tracees.stop_all()
         assert {state(tid) for tid in threads(target.pid)} == {"t"}
         assert tracees.threads_stopped == 3
+
+
+def test_a_thread_that_cannot_be_stopped_is_not_waited_for_without_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(freeze, "STOP_LIMIT_S", 0.5)
+    stuck = python(UNSTOPPABLE)
+    try:
+        with running(assemble(), threads=2) as other:
+            other.start()
+            with pytest.raises(freeze.FreezeError, match=rf"thread {stuck.pid} of process {stuck.pid}$"):
+                stop(other.pid, stuck.pid)
+            assert {tracer_of(tid) for tid in threads(other.pid)} == {0}
+            other.wait_for_progress()
+    finally:
+        os.killpg(stuck.pid, signal.SIGKILL)
+        stuck.communicate()
+
+
+def stop(*pids: int) -> None:
+    with Tracees() as tracees:
+        tracees.seize(pids)
+        tracees.stop_all()
 
 
 def test_a_timers_trap_that_is_queued_when_its_thread_is_let_go_does_not_kill() -> None:
@@ -264,6 +297,7 @@ def test_one_step_is_one_instruction_and_the_others_stand() -> None:
             assert len(set(places)) == 3
             assert target.rounds - before == 10
             assert {state(tid) for tid in threads(target.pid)} == {"t"}
+        target.wait_for_progress()  # let go in single steps, it goes on without them
 
 
 def test_whoever_is_traced_already_is_refused() -> None:

@@ -4,10 +4,11 @@ import os
 
 import pytest
 
+from injector import ptrace
 from injector.freeze import Tracees
 from injector.inject import registers_of
 from injector.pause import Pause
-from injector.process import threads
+from injector.process import threads, tracer_of
 from injector.strike import strike
 from services.bus.rng import generator
 from tests.injector.programs import assemble, running, state
@@ -55,6 +56,35 @@ def test_without_the_right_to_real_time_priority_a_pause_is_as_good(monkeypatch:
         tracees.resume_all()
         assert tracees.pause_us > 0
         target.wait_for_progress(1)
+
+
+def test_a_wait_for_one_thread_has_an_end_in_a_pause() -> None:
+    with running(assemble()) as target, Tracees() as tracees:
+        target.start()
+        tracees.seize([target.pid])
+        pause = Pause()
+        pause.begin()
+        try:
+            assert ptrace.await_report_or_signal(target.pid) is None  # it runs on
+        finally:
+            pause.end()
+        target.wait_for_progress(1)
+
+
+@pytest.mark.parametrize("operand", ["source", "destination"])
+def test_everybody_goes_on_before_it_is_told_what_was_struck(operand: str) -> None:
+    with running(assemble(after=[MOVE]), threads=2) as target:
+        target.start({"rcx": VALUE})
+        with held(target) as (tracees, thread, process):
+            target.go()
+            step_to("mov rbx,rcx", tracees, thread, process)
+            spec, draw = fault(operand, "gpr"), generator(1, "test")  # type: ignore[arg-type]
+            found = strike(tracees, thread, process, spec, draw, stop=tracees.stop_all, go=tracees.detach_all)
+            assert not tracees.threads
+            assert {tracer_of(tid) for tid in threads(target.pid)} == {0}
+            target.finish()
+        assert found is not None
+        assert found.read_back == found.after == found.before ^ sum(1 << bit for bit in found.bits)
 
 
 @pytest.mark.parametrize("operand", ["source", "destination"])

@@ -9,11 +9,12 @@ from typing import Literal
 import pytest
 from iced_x86 import Code, Instruction, Register
 
-from injector.freeze import Thread, Tracees
+from injector.freeze import Tracees
 from injector.inject import Strike, stand, step
 from injector.process import Identity, Process
 from injector.registers import Registers
 from injector.strike import SITES, strike
+from injector.thread import Thread
 from services.bus.mission import FaultSpec
 from services.bus.rng import generator
 from tests.injector.programs import Target, assemble, running
