@@ -31,7 +31,7 @@ ASKED = {
 }
 
 OFFERED = {
-    "queued": ("pause", "resume", "cancel"),
+    "queued": ("pause", "cancel"),
     "running": ("pause", "cancel"),
     "paused": ("resume", "cancel"),
     "interrupted": ("resume", "cancel"),
