@@ -139,7 +139,7 @@ def _options(quantity: str, curves: Sequence[Curve], moments: Sequence[Moment]) 
             "top": 0,
             "left": 56,
             "right": 0,
-            "itemHeight": 4,
+            "itemStyle": {"opacity": 0},  # the line alone, dashed where it is
             "textStyle": text,
             "pageTextStyle": text,
             "data": [curve.name for curve in curves],
@@ -160,7 +160,7 @@ def _series(curve: Curve) -> dict[str, Any]:
         "type": "line",
         "name": curve.name,
         "data": pairs(curve),
-        "symbol": "none",  # so that the legend shows the line alone, dashed where it is
+        "showSymbol": False,
         "step": "end",
         "z": 3 if curve.dashed else 2,
         "color": curve.colour,

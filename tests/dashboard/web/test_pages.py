@@ -214,6 +214,14 @@ def test_a_campaign_that_others_delete_is_shown_as_deleted(
     expect(page.get_by_role("alert").filter(has_text="no campaign")).to_be_visible()
 
 
+def test_where_there_is_no_page_the_ways_to_the_others_stand(service: Serving, looking: Looking) -> None:
+    looking.expected = ("404",)
+    page = looking.goto(service.address, "/nothing-here")
+    expect(page.get_by_role("alert")).to_contain_text("There is no page at this address.")
+    page.get_by_role("link", name="Studies").click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("Studies")
+
+
 def test_names_that_people_type_are_never_markup(service: Serving, looking: Looking) -> None:
     arms = (Arm(name=MARKUP), Arm(name=TEMPLATE, fault=FaultSpec(target="pid")))
     label = stored(service, CampaignSpec(name="markup", runs=2, mission=SHORT, arms=arms))
