@@ -49,7 +49,7 @@ def test_a_flight_is_started_and_watched(service: Serving, client: Client, looki
     assert page.evaluate("window.before") == 1
     assert client.sight(watched).map is not None
     client.steer(watched, "cancel")
-    expect(page.get_by_text("it has ended: cancelled")).to_be_visible()
+    expect(page.get_by_text("it has ended: the campaign was cancelled")).to_be_visible()
 
 
 def test_a_flight_under_way_is_struck_by_hand(service: Serving, client: Client, looking: Looking) -> None:

@@ -23,12 +23,14 @@ SPEC = CampaignSpec(
     mission=MissionSpec(seed=7, limits=Limits(mission_time_s=5)),
     arms=(Arm(name="golden"), Arm(name="flip", fault=FAULT)),
 )
+WATCHED = {"detector": {"scheme": "gaussian"}}
 KEPT = SPEC.model_copy(
     update={
         "name": "kept",
         "arms": (
-            Arm(name="flip", fault=FAULT),
-            Arm(name="recovered", fault=FAULT, mission={"detector": {"scheme": "gaussian"}}),
+            *SPEC.arms,
+            Arm(name="watched", mission=WATCHED),
+            Arm(name="recovered", mission=WATCHED, fault=FAULT),
         ),
         "recording": Recording(keep="all"),
     }
@@ -51,7 +53,7 @@ def runs(service: Serving) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def kept(service: Serving) -> dict[str, str]:
-    """A struck run and the same with a detector, recorded."""
+    """A golden and a struck run, and the same with a detector, recorded."""
     return flown(service, KEPT)
 
 
