@@ -187,7 +187,8 @@ class _Watched:
                     legend({"seen free": "#56b4e9", "seen occupied": "#d55e00"})
                 with ui.element("div").classes("panel"):
                     ui.label("Depth image").classes("heading")
-                    self._depth = ui.image().classes("depth").props('no-spinner no-transition alt="Depth image"')
+                    self._depth = ui.image().classes("depth")
+                    self._depth.props('no-spinner no-transition alt="Depth image"')
                     ui.label("Near is bright; the darkest is 20 m away or farther.").classes("note")
                 with ui.element("div").classes("panel"):
                     ui.label("Flight commands").classes("heading")

@@ -92,8 +92,10 @@ def main(folder: Path, store: Path | None) -> None:
 
 def take(browser: Browser, folder: Path, shot: Shot, address: str) -> None:
     """Take a picture of a page."""
-    size = {"width": shot.width, "height": shot.height}
-    page = browser.new_page(viewport=size, color_scheme="dark" if shot.dark else "light")
+    page = browser.new_page(
+        viewport={"width": shot.width, "height": shot.height},
+        color_scheme="dark" if shot.dark else "light",
+    )
     page.goto(address)
     page.wait_for_function("window.did_handshake === true")
     page.get_by_text("Being reckoned").first.wait_for(state="hidden")
