@@ -151,7 +151,7 @@ def test_a_logarithmic_axis_is_labelled_at_powers_of_ten(
     expect(chart.locator("canvas")).to_be_visible()
     labels = chart.evaluate(
         "element => getElement(Number(element.id.slice(1))).chart.getModel()"
-        ".getComponent('yAxis', 0).axis.getViewLabels().map(one => one.tickValue)"
+        ".getComponent('yAxis', 0).axis.scale.getTicks().map(one => one.value)"
     )
     steps = {round(log10(higher / lower), 6) for lower, higher in pairwise(labels)}
     assert len(labels) >= 4
