@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 
-from dashboard.campaigns.events import Cancel, Pause
+from dashboard.campaigns.events import Begin, Cancel, Pause
 from dashboard.campaigns.store import BusyError, Campaign, Store
 from deploy.check import BadSpecError
 
@@ -40,8 +40,9 @@ def pause(store: Store, found: Campaign) -> None:
     store.wish(found, "pause")
     with contextlib.suppress(BusyError), store.lock(found):
         states = store.states(store.find(found.label))
-        if states.phase == "running":  # whoever flew it is gone
-            store.write(found, states, states.handle(Pause("paused")), {})
+        changed = states.handle(Begin()) if states.phase == "queued" else []
+        if states.phase == "running":  # whoever flew it is gone, or it has waited for its turn
+            store.write(found, states, changed + states.handle(Pause("paused")), {})
 
 
 def refuse_ended(found: Campaign) -> None:

@@ -53,7 +53,11 @@ class BusyError(BadSpecError):
 
 
 class UnknownCampaignError(BadSpecError):
-    """There is no campaign of that label."""
+    """There is no campaign of that label in a store."""
+
+    def __init__(self, label: str, place: str) -> None:
+        super().__init__(f"no campaign {label!r} in {place}: see zenfi campaign list")
+        self.label = label
 
 
 class RepeatedError(BadSpecError):
@@ -190,8 +194,7 @@ class Store:
                 row = connection.execute(query.where(CampaignRow.deleted == "")).first()
             if row is not None and name in ("", row.name):
                 return _campaign(row)
-        message = f"no campaign {label!r} in {self.place}: see zenfi campaign list"
-        raise UnknownCampaignError(message)
+        raise UnknownCampaignError(label, self.place)
 
     def artefacts(self, campaign: Campaign) -> Path:
         """The folder for a campaign's files, made if need be.

@@ -304,7 +304,7 @@ def boxes(
     style = {"color": "#8882", ":borderColor": TEXT, "borderWidth": 1.5}
     point = {"type": "scatter", "yAxisIndex": 1, "cursor": "pointer"}
     return base(about) | {
-        "legend": legend(),
+        "legend": legend(data=["success", "failure"]),
         "xAxis": measure(name, scale=True),
         "yAxis": [names(labels), second],
         "series": [

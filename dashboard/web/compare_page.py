@@ -14,7 +14,7 @@ from dashboard.campaigns.store import Campaign
 from dashboard.campaigns.summary import CellSummary, summary
 from dashboard.web import charts
 from dashboard.web.breakdown import draw
-from dashboard.web.frame import REFUSED, ask, frame, nothing, section, trouble
+from dashboard.web.frame import REFUSED, ask, frame, nothing, plain, section, trouble
 from dashboard.web.quality import (
     BESIDE_NOTE,
     QUALITY_NOTE,
@@ -73,7 +73,7 @@ class _Page:
             self._choose(None, second, arm)
             self._body.clear()
             with self._body:
-                trouble(str(error), "Choose others above.")
+                trouble(plain(error), "Choose others above.")
             return
         self._body.clear()
         with self._body:

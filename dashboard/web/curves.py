@@ -19,6 +19,8 @@ Floats = NDArray[np.float64]
 MOST_POINTS = 1500
 """Of one curve: what lies between is thinned out, extremes are kept."""
 
+MOST_LABELS = 8
+"""Of a logarithmic axis, besides the lowest."""
 
 _POWER = "value => value >= 0.01 && value < 1000 ? String(value) : value.toExponential(0)"
 """How numbers are written on a logarithmic axis."""
@@ -79,13 +81,18 @@ class Chart:
 
 
 def _decades(curves: Sequence[Curve]) -> dict[str, float]:
-    """Both ends of a logarithmic axis: the powers of ten around what is drawn."""
+    """Ends and base of a logarithmic axis around what is drawn; at each power of the base stands a label.
+
+    ECharts alone labels every decade, or of ten and more every tenth.
+    """
     drawn = np.concatenate([curve.values for curve in curves])
     drawn = drawn[np.isfinite(drawn) & (drawn > 0)]
     if not len(drawn):
         return {}
     low, high = math.floor(math.log10(drawn.min())), math.ceil(math.log10(drawn.max()))
-    return {"min": 10.0**low, "max": 10.0 ** max(high, low + 1)}
+    step = max(1, math.ceil((high - low) / MOST_LABELS))
+    first, last = low // step, max(-(-high // step), low // step + 1)
+    return {"min": 10.0 ** (step * first), "max": 10.0 ** (step * last), "logBase": 10.0**step}
 
 
 def pairs(curve: Curve) -> list[tuple[float, float | None]]:
@@ -132,8 +139,7 @@ def _options(quantity: str, curves: Sequence[Curve], moments: Sequence[Moment]) 
             "top": 0,
             "left": 56,
             "right": 0,
-            "icon": "roundRect",
-            "itemHeight": 4,
+            "itemStyle": {"opacity": 0},  # the line alone, dashed where it is
             "textStyle": text,
             "pageTextStyle": text,
             "data": [curve.name for curve in curves],

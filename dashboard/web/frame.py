@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from dashboard.api.problems import NotFoundError, NotReadyError
 from dashboard.api.service import Service
 from dashboard.campaigns.database import StoreError
-from dashboard.campaigns.store import Campaign
+from dashboard.campaigns.store import Campaign, UnknownCampaignError
 from deploy.check import BadSpecError, one_line
 from deploy.compose.folder import StackError
 from deploy.supervisor import InfrastructureError
@@ -134,8 +134,13 @@ async def find(here: Service, label: str) -> Campaign | None:
     try:
         return await ask(here.store.find, label)
     except REFUSED as error:
-        trouble(str(error), "It may have been deleted. All that there are stand on the page Campaigns.")
+        trouble(plain(error), "It may have been deleted. All that there are stand on the page Campaigns.")
         return None
+
+
+def plain(error: Exception) -> str:
+    """What is wrong, for people at a browser: they need not know where the store is."""
+    return f"There is no campaign {error.label}." if isinstance(error, UnknownCampaignError) else str(error)
 
 
 def told(action: Callable[P, Awaitable[None]]) -> Callable[P, Awaitable[None]]:
@@ -148,7 +153,7 @@ def told(action: Callable[P, Awaitable[None]]) -> Callable[P, Awaitable[None]]:
         except ValidationError as error:
             refusal(one_line(error))
         except REFUSED as error:
-            refusal(str(error))
+            refusal(plain(error))
 
     return acting
 

@@ -16,7 +16,7 @@ from dashboard.campaigns.store import Campaign
 from dashboard.web.curves import Chart, Curve
 from dashboard.web.flight_forms import fault_form, flight_form
 from dashboard.web.flight_style import GOLDEN, INJECTED, RECOVERED, STRUCK
-from dashboard.web.frame import REFUSED, ask, frame, nothing, section, trouble
+from dashboard.web.frame import REFUSED, ask, frame, nothing, plain, section, trouble
 from dashboard.web.parts import Readings, legend
 from dashboard.web.pictures import depth_picture, map_picture
 from dashboard.web.plan_view import PlanView, path, vehicle
@@ -64,7 +64,7 @@ class Track:
 def register(here: Service) -> None:
     """Declare the page."""
 
-    @ui.page("/live")
+    @ui.page("/live", response_timeout=60)
     async def page(flight: str = "", run: int = 0) -> None:
         with frame("Live flights"):
             chosen = ui.column().classes("section")
@@ -143,7 +143,7 @@ async def _tell(here: Service, state: ui.column, label: str) -> None:
         try:
             flight: Flight = await ask(lambda: read_flight(here, here.store.find(label)))
         except REFUSED as error:
-            trouble(str(error), "Choose another flight, or fly one below.")
+            trouble(plain(error), "Choose another flight, or fly one below.")
             return
         if flight.campaign.phase in ("queued", "running"):
             nothing(f"{label} is about to fly.", "It is shown here as soon as it does.")
@@ -187,7 +187,8 @@ class _Watched:
                     legend({"seen free": "#56b4e9", "seen occupied": "#d55e00"})
                 with ui.element("div").classes("panel"):
                     ui.label("Depth image").classes("heading")
-                    self._depth = ui.image().classes("depth").props('no-spinner alt="Depth image"')
+                    self._depth = ui.image().classes("depth")
+                    self._depth.props('no-spinner no-transition alt="Depth image"')
                     ui.label("Near is bright; the darkest is 20 m away or farther.").classes("note")
                 with ui.element("div").classes("panel"):
                     ui.label("Flight commands").classes("heading")

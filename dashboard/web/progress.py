@@ -31,7 +31,7 @@ ASKED = {
 }
 
 OFFERED = {
-    "queued": ("pause", "resume", "cancel"),
+    "queued": ("pause", "cancel"),
     "running": ("pause", "cancel"),
     "paused": ("resume", "cancel"),
     "interrupted": ("resume", "cancel"),
@@ -48,8 +48,12 @@ ICONS = {
 }
 
 
+ANEW = 10
+"""After so many flights more, what is left is reckoned from how long they took."""
+
+
 @lru_cache(maxsize=256)
-def _hours(spec: str, here: Service) -> float:
+def _hours(spec: str, here: Service, _tens: int) -> float:
     return forecast(CampaignSpec.model_validate_json(spec), here.store, len(os.sched_getaffinity(0))).hours
 
 
@@ -58,7 +62,7 @@ def time_left(here: Service, spec: CampaignSpec, line: CampaignLine) -> str:
     if line.phase not in ("running", "queued"):
         return ""
     left = (line.runs - line.done - line.failed) / max(line.runs, 1)
-    minutes = 60 * left * _hours(spec.model_dump_json(), here)
+    minutes = 60 * left * _hours(spec.model_dump_json(), here, line.done // ANEW)
     if minutes >= 90:
         return f"about {minutes / 60:.1f} h left"
     return f"about {minutes:.0f} min left" if minutes >= 1.5 else "about a minute left"

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from fastapi import FastAPI
-from nicegui import ui
+from fastapi import FastAPI, Request, Response
+from fastapi.exception_handlers import http_exception_handler
+from nicegui import Client, ui
+from nicegui import app as pages
+from starlette.exceptions import HTTPException
 from starlette.routing import Match, Mount
 from starlette.types import Message, Receive, Scope, Send
 
@@ -43,6 +46,7 @@ def mount(app: FastAPI, here: Service) -> None:
     app.include_router(login.router)
     for page in PAGES:
         page.register(here)
+    pages.add_exception_handler(404, _missing)
     frame.install()
     flight_style.install()
     ui.run_with(
@@ -57,6 +61,15 @@ def mount(app: FastAPI, here: Service) -> None:
     mounted = app.router.routes.pop()
     assert isinstance(mounted, Mount)  # noqa: S101 - just made
     app.router.routes.append(_Pages("/", app=mounted.app, name="pages"))
+
+
+async def _missing(request: Request, error: Exception) -> Response:
+    """There is no such page: NiceGUI's own says so without a way to one that there is."""
+    if request.url.path.startswith("/_nicegui") and isinstance(error, HTTPException):
+        return await http_exception_handler(request, error)
+    with Client(ui.page(""), request=request) as client, frame.frame("No such page"):
+        frame.trouble("There is no page at this address.", "Those that there are stand at the top.")
+    return client.build_response(request, 404)
 
 
 class _Pages(Mount):

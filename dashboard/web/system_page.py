@@ -43,7 +43,7 @@ class Share:
 def register(here: Service) -> None:
     """Declare the page."""
 
-    @ui.page("/system")
+    @ui.page("/system", response_timeout=60)
     async def page() -> None:
         with frame("System"):
             with section("Nodes", "On the buses of the flights that the service flies now."):

@@ -109,6 +109,16 @@ def test_a_campaign_is_steered(app: FastAPI, store: Store) -> None:
     assert steer("", "GET") == 404
 
 
+def test_a_campaign_that_waits_for_its_turn_is_paused_and_flown_later(app: FastAPI, store: Store) -> None:
+    label = ask(app, CAMPAIGNS, "POST", json={"spec": SPEC}).json()["campaign"]
+    told = [ask(app, f"{CAMPAIGNS}/{label}/{what}", "POST").json()["phase"] for what in ("pause", "pause")]
+    assert told == ["paused", "paused"]
+    assert store.wanted() == []
+    assert store.states(store.find(label)).count("queued") == store.progress(store.find(label)).total()
+    assert ask(app, f"{CAMPAIGNS}/{label}/resume", "POST").status_code == 202
+    assert [one.label for one in store.wanted()] == [label]
+
+
 def test_runs_come_in_pages_that_neither_repeat_nor_leave_out(app: FastAPI) -> None:
     for asked in ("", "descending=true", "sort=energy_kj", "sort=flight_time_s&descending=true", "sort=seed"):
         found: list[int] = []

@@ -3,13 +3,13 @@
 import os
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, Request, expect, sync_playwright
 
-from tests.dashboard.api.conftest import PATIENCE_S, client, service
+from tests.dashboard.api.conftest import PATIENCE_S, Serving, client, serving
 
 __all__ = ["PATIENCE_MS", "Looking", "browser", "client", "looking", "service"]
 
@@ -21,6 +21,13 @@ DRIVER = "GL Driver Message"
 
 PATIENCE_MS = 1e3 * PATIENCE_S
 expect.set_options(timeout=PATIENCE_MS)
+
+
+@pytest.fixture(scope="package")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Serving]:
+    """One service for all tests of pages: it takes seconds to start. Each leaves nothing that flies."""
+    with serving(tmp_path_factory.mktemp("service")) as one:
+        yield one
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +64,12 @@ class Looking:
             "window.socket?.connected === true || !window.createApp", timeout=PATIENCE_MS
         )
         return self.page
+
+    def another(self) -> "Looking":
+        """A second page of the same browser; what goes wrong there counts here."""
+        one = replace(self, page=self.page.context.new_page())
+        one.listen()
+        return one
 
     def listen(self) -> None:
         """Note what goes wrong from now on."""

@@ -2,12 +2,19 @@
 
 import re
 
-from playwright.sync_api import expect
+from playwright.sync_api import Page, expect
 
 from dashboard.client import Client
 from services.bus.mission import Limits, MissionSpec
 from tests.dashboard.api.conftest import Serving
 from tests.dashboard.web.conftest import Looking
+
+STRUCK_WITHIN_S = 150.0
+
+
+def vehicle(page: Page) -> str | None:
+    """Where the plan shows it, from west to east."""
+    return page.locator(".layer-now circle").get_attribute("cx")
 
 
 def test_where_nothing_flies_the_page_says_what_to_do(service: Serving, looking: Looking) -> None:
@@ -19,9 +26,7 @@ def test_where_nothing_flies_the_page_says_what_to_do(service: Serving, looking:
     expect(page.get_by_role("alert")).to_contain_text("flight-987")
 
 
-def test_a_flight_is_started_watched_and_struck_by_hand(
-    service: Serving, client: Client, looking: Looking
-) -> None:
+def test_a_flight_is_started_and_watched(service: Serving, client: Client, looking: Looking) -> None:
     page = looking.goto(service.address, "/live")
     page.get_by_role("button", name="Fly", exact=True).click()
     page.wait_for_url(re.compile("flight="))
@@ -30,15 +35,30 @@ def test_a_flight_is_started_watched_and_struck_by_hand(
     time = page.locator(".reading-value").first
     expect(time).to_have_text(re.compile(r"^\d+\.\d s$"))
     page.evaluate("window.before = 1")
-    first = time.inner_text()
+    first, place = time.inner_text(), vehicle(page)
     expect(time).not_to_have_text(first)
+    expect(page.locator(f'.layer-now circle[cx="{place}"]')).to_have_count(0)
     expect(page.locator(".scene canvas")).to_be_visible()
     expect(page.locator(".depth img").first).to_have_attribute("src", re.compile("^data:image/png"))
     expect(page.locator(".layer-map image")).to_have_count(1)
     expect(page.locator('.layer-paths polyline[points*=" "]')).to_have_count(1)  # its twin has not flown
+    commands = page.locator(".curve")
+    assert commands.evaluate(
+        "element => getElement(Number(element.id.slice(1))).chart.getOption().series[0].data.length > 1"
+    )
     assert page.evaluate("window.before") == 1
     assert client.sight(watched).map is not None
+    client.steer(watched, "cancel")
+    expect(page.get_by_text("it has ended: the campaign was cancelled")).to_be_visible()
 
+
+def test_a_flight_under_way_is_struck_by_hand(service: Serving, client: Client, looking: Looking) -> None:
+    # Long enough for a browser to strike it, and no longer: two more follow, to their ends.
+    spec = MissionSpec(mission="scanning", seed=7, limits=Limits(mission_time_s=STRUCK_WITHIN_S))
+    watched = client.fly(spec).campaign.campaign
+    page = looking.goto(service.address, f"/live?flight={watched}")
+    time = page.locator(".reading-value").first
+    expect(time).to_have_text(re.compile(r"^\d+\.\d s$"))
     page.get_by_label("Strikes").fill("command.vx")
     page.get_by_role("option", name="state command.vx", exact=True).click()
     shown_s = float(time.inner_text().partition(" ")[0])

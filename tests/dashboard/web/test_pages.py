@@ -1,16 +1,18 @@
 """People at a browser: they start a campaign, watch it, look through it, and take it away again."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Locator, Page, expect
 
 from dashboard.campaigns.spec import Arm, CampaignSpec
 from dashboard.client import Client
 from services.bus.mission import FaultSpec, Limits, MissionSpec
 from tests.dashboard.api.conftest import Serving, serving
 from tests.dashboard.web.conftest import Looking
+from tests.dashboard.web.stored import stored
 
 SHORT = MissionSpec(limits=Limits(mission_time_s=0.6))
 ARMS = (Arm(name="golden"), Arm(name="flip", fault=FaultSpec(target="pid")))
@@ -18,20 +20,20 @@ MARKUP = "<img src=x onerror=window.taken=1>"
 TEMPLATE = "{{7*7}}${7*7}"
 
 
-def flown(client: Client, spec: CampaignSpec) -> str:
-    """The label of a campaign that has ended."""
-    label = client.create(spec).campaign
-    for _ in client.watch(label):
-        pass
-    assert client.campaign(label).phase == "done"
-    return label
+@pytest.fixture(scope="module")
+def short(service: Serving) -> str:
+    """A campaign of 2 x 4 flights that has ended."""
+    return stored(service, CampaignSpec(name="short", runs=4, mission=SHORT, arms=ARMS))
 
 
 @pytest.fixture(scope="module")
-def short(service: Serving) -> str:
-    """A campaign of 2 x 4 short flights."""
+def long(service: Serving) -> Iterator[str]:
+    """A campaign that does not end by itself while these tests run."""
     with Client(service.address) as client:
-        return flown(client, CampaignSpec(name="short", runs=4, mission=SHORT, arms=ARMS))
+        yield client.create(CampaignSpec(name="long", runs=2000, mission=SHORT, arms=ARMS)).campaign
+        for line in client.campaigns():
+            if line.phase in ("queued", "running", "paused"):
+                client.steer(line.campaign, "cancel")
 
 
 def rows(page: Page) -> list[list[str]]:
@@ -40,6 +42,15 @@ def rows(page: Page) -> list[list[str]]:
         "rows => rows.map(row => [...row.cells].map(cell => cell.innerText))"
     )
     return found
+
+
+def point_at_all(chart: Locator) -> None:
+    """Have a chart tell of everything that it draws, as it does of what people point at."""
+    chart.evaluate(
+        "element => { const chart = getElement(Number(element.id.slice(1))).chart;"
+        "chart?.getOption().series.forEach((one, seriesIndex) => one.data.forEach((_, dataIndex) =>"
+        "chart.dispatchAction({type: 'showTip', seriesIndex, dataIndex}))) }"
+    )
 
 
 def test_a_campaign_is_started_from_the_form_and_watched_without_loading_again(
@@ -98,7 +109,7 @@ def test_what_the_table_of_runs_shows_stands_in_the_address(
     expect(page.locator(".runs tbody tr")).to_have_count(4)
     page.locator(".runs th").filter(has_text="seed").click()
     page.get_by_label("largest first").click()
-    page.wait_for_url(re.compile(r"arm=flip.*sort=seed.*descending=True|descending=true"))
+    page.wait_for_url(re.compile(r"arm=flip.*sort=seed.*descending=[Tt]rue"))
     assert {row[1] for row in rows(page)} == {"flip"}
     page.reload()
     expect(page.locator(".runs tbody tr")).to_have_count(4)
@@ -120,7 +131,7 @@ def test_a_dot_opens_its_flight_and_the_map_of_bits_shows_what_one_asks_for(
 
     chart = page.locator("#flights .chart").first
     chart.scroll_into_view_if_needed()
-    # These flights end before they arrive; what is drawn last lies on top.
+    # What is drawn last lies on top.
     x, y, run = chart.evaluate(
         "element => { const chart = getElement(Number(element.id.slice(1))).chart;"
         "const index = chart.getOption().series.findIndex(one => one.name === 'failure');"
@@ -138,47 +149,62 @@ def test_exports_can_be_had_from_the_page(service: Serving, looking: Looking, sh
     assert len(Path(got.value.path()).read_text().splitlines()) == 9
 
 
-def test_a_campaign_is_cancelled_and_deleted_after_a_question(
-    service: Serving, looking: Looking, client: Client
+def test_a_campaign_is_paused_resumed_and_cloned(
+    service: Serving, looking: Looking, client: Client, long: str
 ) -> None:
-    label = client.create(CampaignSpec(name="long", runs=2000, mission=SHORT, arms=ARMS)).campaign
+    page = looking.goto(service.address, f"/campaigns/{long}")
+    phase, steering = page.locator(".phase"), page.get_by_role("group", name=f"Steer {long}")
+    expect(phase).to_have_text("running")
+    expect(page.locator(".words")).to_contain_text("left")
+    steering.get_by_role("button", name="pause").click()
+    expect(phase).to_have_text("paused")
+    expect(page.locator(".words")).not_to_contain_text("left")
+    expect(steering.get_by_role("button", name="pause")).to_be_hidden()
+    steering.get_by_role("button", name="resume").click()
+    expect(phase).to_have_text("running")
+    steering.get_by_role("button", name="clone").click()
+    page.wait_for_url(lambda url: "/campaigns/long-" in url and not url.endswith(long))
+
+    # It waits for the other: it can be made to wait longer, and to go on is nothing to ask for.
+    waiting = page.url.rpartition("/")[2]
+    assert client.campaign(waiting).spec == client.campaign(long).spec
+    steering = page.get_by_role("group", name=f"Steer {waiting}")
+    expect(phase).to_have_text("queued")
+    expect(steering.get_by_role("button", name="resume")).to_be_hidden()
+    steering.get_by_role("button", name="pause").click()
+    expect(phase).to_have_text("paused")
+    expect(steering.get_by_role("button", name="resume")).to_be_visible()
+
+
+def test_a_campaign_is_cancelled_and_deleted_after_a_question(
+    service: Serving, looking: Looking, client: Client, long: str
+) -> None:
     page = looking.goto(service.address)
-    card = page.locator("article").filter(has=page.get_by_role("link", name=label, exact=True))
+    card = page.locator("article").filter(has=page.get_by_role("link", name=long, exact=True))
+    expect(card.locator(".phase")).to_have_text("running")
     card.get_by_role("button", name="cancel").click()
     page.get_by_role("button", name="Back").click()
-    assert client.campaign(label).phase != "cancelled"
+    expect(page.locator(".q-dialog")).to_have_count(0)
+    assert client.campaign(long).phase == "running"
     card.get_by_role("button", name="cancel").click()
     page.get_by_role("button", name="Cancel", exact=True).click()
     expect(card.locator(".phase")).to_have_text("cancelled")
     expect(card.get_by_role("button", name="cancel")).to_be_hidden()
 
     card.get_by_role("button", name="delete").click()
+    page.get_by_role("button", name="Back").click()
+    expect(page.locator(".q-dialog")).to_have_count(0)
+    assert client.campaign(long).phase == "cancelled"
+    card.get_by_role("button", name="delete").click()
     page.get_by_role("button", name="Delete", exact=True).click()
     expect(card).to_have_count(0)
-    assert label not in [line.campaign for line in client.campaigns()]
-
-
-def test_a_campaign_is_paused_resumed_and_cloned(service: Serving, looking: Looking, client: Client) -> None:
-    label = client.create(CampaignSpec(name="halting", runs=2000, mission=SHORT, arms=ARMS)).campaign
-    page = looking.goto(service.address, f"/campaigns/{label}")
-    try:
-        expect(page.locator(".phase")).to_have_text("running")
-        page.get_by_role("button", name="pause").click()
-        expect(page.locator(".phase")).to_have_text("paused")
-        page.get_by_role("button", name="resume").click()
-        expect(page.locator(".phase")).to_have_text("running")
-        page.get_by_role("button", name="clone").click()
-        page.wait_for_url(lambda url: "/campaigns/halting-" in url and not url.endswith(label))
-    finally:
-        for line in client.campaigns():
-            if line.campaign.startswith("halting-") and line.phase != "cancelled":
-                client.steer(line.campaign, "cancel")
+    assert long not in [line.campaign for line in client.campaigns()]
 
 
 def test_a_campaign_that_others_delete_is_shown_as_deleted(
     service: Serving, looking: Looking, client: Client
 ) -> None:
-    label = flown(client, CampaignSpec(name="passing", runs=1, mission=SHORT, arms=ARMS))
+    label = stored(service, CampaignSpec(name="passing", runs=1, mission=SHORT, arms=ARMS))
     page = looking.goto(service.address, f"/campaigns/{label}")
     expect(page.get_by_text("Quality of flight")).to_be_visible()
     client.delete(label)
@@ -188,9 +214,17 @@ def test_a_campaign_that_others_delete_is_shown_as_deleted(
     expect(page.get_by_role("alert").filter(has_text="no campaign")).to_be_visible()
 
 
-def test_names_that_people_type_are_never_markup(service: Serving, looking: Looking, client: Client) -> None:
+def test_where_there_is_no_page_the_ways_to_the_others_stand(service: Serving, looking: Looking) -> None:
+    looking.expected = ("404",)
+    page = looking.goto(service.address, "/nothing-here")
+    expect(page.get_by_role("alert")).to_contain_text("There is no page at this address.")
+    page.get_by_role("link", name="Studies").click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("Studies")
+
+
+def test_names_that_people_type_are_never_markup(service: Serving, looking: Looking) -> None:
     arms = (Arm(name=MARKUP), Arm(name=TEMPLATE, fault=FaultSpec(target="pid")))
-    label = flown(client, CampaignSpec(name="markup", runs=2, mission=SHORT, arms=arms))
+    label = stored(service, CampaignSpec(name="markup", runs=2, mission=SHORT, arms=arms))
     for path in (
         "/",
         f"/campaigns/{label}?arm={MARKUP}",
@@ -199,15 +233,17 @@ def test_names_that_people_type_are_never_markup(service: Serving, looking: Look
     ):
         page = looking.goto(service.address, path)
         expect(page.get_by_text(MARKUP).first).to_be_visible()
-        assert page.evaluate("window.taken") is None
+        for chart in page.locator(".chart").all():
+            point_at_all(chart)
         assert page.locator("img").count() == 0
+        assert page.evaluate("window.taken") is None
         assert re.search(r"49\$|[$}]49", page.locator("body").inner_text()) is None
 
 
 def test_two_arms_and_two_campaigns_are_compared(
     service: Serving, looking: Looking, client: Client, short: str
 ) -> None:
-    again = flown(client, client.campaign(short).spec)
+    again = stored(service, client.campaign(short).spec)
     page = looking.goto(service.address, f"/compare?first={short}&second={again}")
     expect(page.get_by_text(f"Beside {again}")).to_be_visible()
     expect(page.locator(".figures").first.locator("tbody tr")).to_have_count(2)
@@ -253,7 +289,7 @@ def test_a_stopped_server_is_told_and_the_page_comes_back_by_itself(tmp_path: Pa
         looking.expected = ("net::ERR_", "WebSocket connection")
         one.kill()
         expect(page.get_by_text("Connection lost.")).to_be_visible()
-    with serving(tmp_path, port=port) as again, Client(again.address) as client:
+    with serving(tmp_path, port=port) as again:
         expect(page.get_by_text("Connection lost.")).to_be_hidden()
-        label = client.create(CampaignSpec(name="after", runs=1, mission=SHORT, arms=ARMS)).campaign
+        label = stored(again, CampaignSpec(name="after", runs=1, mission=SHORT, arms=ARMS))
         expect(page.get_by_role("link", name=label)).to_be_visible()

@@ -1,6 +1,8 @@
 """The page of a run, in a browser, on real flights."""
 
 import re
+from itertools import pairwise
+from math import log10
 from pathlib import Path
 
 import pytest
@@ -21,15 +23,38 @@ SPEC = CampaignSpec(
     mission=MissionSpec(seed=7, limits=Limits(mission_time_s=5)),
     arms=(Arm(name="golden"), Arm(name="flip", fault=FAULT)),
 )
+WATCHED = {"detector": {"scheme": "gaussian"}}
+KEPT = SPEC.model_copy(
+    update={
+        "name": "kept",
+        "arms": (
+            *SPEC.arms,
+            Arm(name="watched", mission=WATCHED),
+            Arm(name="recovered", mission=WATCHED, fault=FAULT),
+        ),
+        "recording": Recording(keep="all"),
+    }
+)
+
+
+def flown(service: Serving, spec: CampaignSpec) -> dict[str, str]:
+    """The paths of the runs of a campaign, one an arm, by their arms."""
+    with Client(service.address) as client:
+        label = client.create(spec).campaign
+        assert list(client.watch(label))[-1].data.phase == "done"
+        return {run.arm: f"/campaigns/{label}/runs/{run.id}" for run in client.runs(label, RunQuery())}
 
 
 @pytest.fixture(scope="module")
 def runs(service: Serving) -> dict[str, str]:
-    """The paths of a golden and a struck run by their arms."""
-    with Client(service.address) as client:
-        label = client.create(SPEC).campaign
-        assert list(client.watch(label))[-1].data.phase == "done"
-        return {run.arm: f"/campaigns/{label}/runs/{run.id}" for run in client.runs(label, RunQuery())}
+    """A golden and a struck run, not recorded."""
+    return flown(service, SPEC)
+
+
+@pytest.fixture(scope="module")
+def kept(service: Serving) -> dict[str, str]:
+    """A golden and a struck run, and the same with a detector, recorded."""
+    return flown(service, KEPT)
 
 
 def vehicles(page: Page) -> list[tuple[str | None, str | None]]:
@@ -91,23 +116,24 @@ def test_a_run_is_recorded_looked_through_replayed_and_taken_away(
 
 
 def test_a_run_of_a_campaign_that_keeps_recordings_is_drawn_at_once(
-    service: Serving, client: Client, looking: Looking
+    service: Serving, looking: Looking, kept: dict[str, str]
 ) -> None:
-    spec = SPEC.model_copy(update={"name": "kept", "recording": Recording(keep="all")})
-    label = client.create(spec).campaign
-    assert list(client.watch(label))[-1].data.phase == "done"
-    (run,) = client.runs(label, RunQuery(arm="flip"))
-    page = looking.goto(service.address, f"/campaigns/{label}/runs/{run.id}")
-    expect(page.locator(".now")).to_contain_text("m from golden")
+    page = looking.goto(service.address, kept["recovered"])
+    expect(page.locator(".now")).to_contain_text("recovered is 0.000 m from golden")
     expect(page.get_by_role("button", name="Record", exact=True)).to_have_count(0)
+    keys = page.locator(".legend").first.locator(".key")
+    assert keys.all_inner_texts() == ["golden", "injected", "recovered", "fault", "alarm"]
+    assert len(vehicles(page)) == 3
+    nodes, alarms = (page.get_by_role("region", name=name) for name in ("Nodes", "Alarms"))
+    expect(nodes.locator("tr", has_text="control").locator("td").nth(-1)).not_to_have_text("0")
+    expect(alarms.locator("tbody tr").first).to_contain_text("command.vx")
+    expect(page.get_by_text("Nobody complained.")).to_be_visible()
 
 
 def test_another_state_is_drawn_when_it_is_chosen(
-    service: Serving, client: Client, looking: Looking, runs: dict[str, str]
+    service: Serving, looking: Looking, kept: dict[str, str]
 ) -> None:
-    label, run = runs["flip"].split("/")[2::2]
-    client.record(label, int(run))
-    page = looking.goto(service.address, runs["flip"])
+    page = looking.goto(service.address, kept["flip"])
     panel = page.locator(".panel").filter(has=page.get_by_label("State"))
     expect(panel.locator(".curve")).to_have_attribute("aria-label", "command.vx (m/s) over time")
     page.get_by_label("State").fill("cloud.z")
@@ -115,6 +141,22 @@ def test_another_state_is_drawn_when_it_is_chosen(
     expect(panel.locator(".curve")).to_have_attribute(
         "aria-label", "cloud.z, mean of its points (m) over time"
     )
+
+
+def test_a_logarithmic_axis_is_labelled_at_powers_of_ten(
+    service: Serving, looking: Looking, kept: dict[str, str]
+) -> None:
+    page = looking.goto(service.address, kept["flip"])
+    chart = page.locator(".curve[aria-label^='deviation']")
+    expect(chart.locator("canvas")).to_be_visible()
+    labels = chart.evaluate(
+        "element => getElement(Number(element.id.slice(1))).chart.getModel()"
+        ".getComponent('yAxis', 0).axis.scale.getTicks().map(one => one.value)"
+    )
+    steps = {round(log10(higher / lower), 6) for lower, higher in pairwise(labels)}
+    assert len(labels) >= 4
+    assert len(steps) == 1
+    assert all(float(f"{one:.0e}") == pytest.approx(one) for one in labels)
 
 
 def test_a_run_without_a_fault_is_flown_again(
