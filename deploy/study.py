@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
 from deploy.study_workers import Workers
-from injector.clock import CHAINS, REGISTERS, TRACE, Clock, clock_of, usable_anchors
-from injector.study import Answer, StudyRun, Task
+from injector.clock import Clock
+from injector.study import StudyRun, Task
+from injector.survey import Asked, Told, survey
 from injector.sweep import Place, draw, legs
 from services.bus import rng
 from services.bus.mission import FaultSpec
@@ -52,33 +53,19 @@ class Study:
         with Workers(self._kernel, self._slots) as workers:
             try:
                 if self._memory.clock is None:
-                    self._survey(workers)
+                    self._memory.survey(self._survey(workers))
                 while (missing := self._injections - self._done()) > 0:
                     self._round(workers, self._more(missing), made)
             finally:
                 self.cpu_s = workers.cpu_s
         return self._first()
 
-    def _survey(self, workers: Workers) -> None:
-        (begin,) = self._surveyed(workers, [Task()])
-        assert begin.traces is not None  # noqa: S101 - asked for
-        (first,) = begin.traces
-        if begin.whole:
-            self._memory.survey(Clock(reach=len(first)))
-            return
-        first = first[:TRACE]
-        chains = self._surveyed(workers, [Task(begin=first, chain=number) for number in range(CHAINS)])
-        traces = [first, *sorted(trace for one in chains for trace in one.traces or ())]
-        addresses = usable_anchors(traces)
-        # One way through the call each, of which some take far longer than others.
-        parts = [addresses[at : at + REGISTERS] for at in range(0, len(addresses), REGISTERS)]
-        counted = self._surveyed(workers, [Task(addresses=tuple(part)) for part in parts])
-        passes = dict(pair for one in counted for pair in one.passes or ())
-        self._memory.survey(clock_of(traces, {address: passes[address] for address in addresses}))
+    def _survey(self, workers: Workers) -> Clock:
+        def ask(parts: Sequence[Asked]) -> Iterator[Told]:
+            answers = workers.work([Task(survey=part) for part in parts])
+            return (one.found for one in answers if one.found is not None)
 
-    def _surveyed(self, workers: Workers, tasks: list[Task]) -> list[Answer]:
-        answers = workers.work(tasks)
-        return [one for one in answers if one.traces is not None or one.passes is not None]
+        return survey(ask, f"clock {self._kernel}")
 
     def _done(self) -> int:
         return sum(index < self._drawn for index in self._memory.runs)
@@ -104,9 +91,9 @@ class Study:
         known = self._memory.runs
         left = [place for place in places if place.index not in known]
         # Each part of a leg begins the call anew: no more of them than keep everybody busy.
-        lots = legs(left, max(1, -(-len(places) // self._slots)))
+        ways = legs(left, max(1, -(-len(places) // self._slots)))
         task = {"fault": self._fault, "seed": self._seed, "clock": self._memory.clock}
-        for answer in workers.work([Task.model_validate({**task, "leg": tuple(lot)}) for lot in lots]):
+        for answer in workers.work([Task.model_validate({**task, "leg": tuple(way)}) for way in ways]):
             if answer.run is not None:
                 self._memory.add(answer.run)
                 made(answer.run)

@@ -5,10 +5,11 @@ after one pass. To draw one, a pass (the call's beginning counts as one) and a s
 ``reach`` are drawn, each pair alike, and the place is refused if another pass comes before it. All
 instructions within reach of a pass are thus drawn alike. A short call has no anchors and reaches to its end.
 
-Where to look for anchors is drawn as well: an instruction of the trace at hand, one of the passes through
-its address, and a trace from there. This leaves the uniform distribution over a call's instructions as it
-is (it draws a new one among those of the same address, then goes on a little), so the traces come to
-stand for the call. Nothing here depends on time: the same copies give the same anchors.
+Anchors are chosen from traces that begin where functions are entered. Functions are drawn of all that the
+call enters (:mod:`injector.census`): a part of the call that has none in common with the rest is not to be
+missed. One that is entered often is drawn a little more often than one that is not, but for how much of
+the call an instruction of a trace stands is known, as it is known how likely it was to come into one
+(Horvitz and Thompson 1952). Nothing here depends on time: the same copies give the same anchors.
 """
 
 from __future__ import annotations
@@ -16,19 +17,13 @@ from __future__ import annotations
 import heapq
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from injector.copies import Copies
-from injector.freeze import Tracees
-from injector.thread import Thread
-from injector.trigger import Breakpoint, await_trap
 from services.bus.model import Strict
-
-SHORT = 30_000
-"""Instructions of a call up to which all are stepped through: a good half second."""
 
 REACH = 128
 """Steps from a pass to the furthest instruction that is drawn, of any anchor."""
@@ -36,25 +31,19 @@ REACH = 128
 REACHED = 0.98
 """Part of what an anchor could reach that it does: the last few would cost many refusals."""
 
-CHAINS = 4
-"""Chains of traces, each of which goes on from its last; several workers can make them."""
-
-TRACES = 24
-"""Traces of each chain."""
-
-TRACE = 1_000
-"""Instructions of each trace."""
+TRACES = 256
+"""Traces, beside that of the call's beginning."""
 
 CHECK_EVERY = 4
 """Every so many traces one is held out once, to tell how good anchors are that were chosen without it."""
 
-MOST_PASSES = 3_000
-"""Passes beyond which an address counts as passed as often as that while anchors are looked for."""
-
 COVERED = 0.98
-"""Part of the traces within reach of an anchor that is enough."""
+"""Part of the call within reach of an anchor that is enough, by what the traces stand for."""
 
 MOST_ANCHORS = 256
+ANCHOR_PASSES = 100.0
+"""What an anchor costs beside its passes, in passes: a part of some more ways through the call."""
+
 REGISTERS = 4
 """Addresses that the processor can watch at a time."""
 
@@ -77,8 +66,7 @@ class Clock(Strict):
     """The anchors of a call; ``reach`` is that of its beginning.
 
     ``covered`` is the part of its instructions within reach of a pass, estimated from traces that were not
-    looked at in choosing them, and so a little too low.
-    ``kept``: about which part of the drawn places is not refused.
+    looked at in choosing them, and so too low; ``kept`` that of the drawn places which are not refused.
     """
 
     reach: int
@@ -87,167 +75,133 @@ class Clock(Strict):
     kept: float = 1.0
 
 
-class Surveyor:
-    """Looks for the anchors of the call at whose beginning ``root`` stands."""
+@dataclass(frozen=True)
+class Sample:
+    """Traces of a call, the first from its beginning, and for how many instructions each one of them stands.
 
-    def __init__(self, tracees: Tracees, copies: Copies, root: Thread) -> None:
-        self._tracees, self._copies, self._root = tracees, copies, root
-
-    def begin(self) -> tuple[list[int], bool]:
-        """The call's first instructions, and whether it has no more."""
-        return self._trace(0, 0, SHORT)
-
-    def chain(self, begin: list[int], draw: np.random.Generator) -> list[list[int]]:
-        """Traces of drawn parts of the call, each by way of the one before, the first of ``begin``."""
-        traces = [begin]
-        while len(traces) <= TRACES:
-            traces.append(self._another(traces[-1], draw))
-        return traces[1:]
-
-    def _another(self, trace: Sequence[int], draw: np.random.Generator) -> list[int]:
-        usable = watchable(trace)
-        address = usable[int(draw.integers(len(usable)))]
-        passes = self._passes(address)
-        return self._trace(address, 1 + int(draw.integers(passes)), TRACE)[0]
-
-    def _trace(self, address: int, hit: int, most: int) -> tuple[list[int], bool]:
-        """Up to ``most`` instructions from a pass (0: the beginning) on; whether the call ended meanwhile."""
-        copy = self._copies.copy(self._root)
-        try:
-            if hit and not self._reaches(copy, address, hit):
-                message = f"a copy of the call passed {address:#x} fewer times than {hit}"
-                raise ClockError(message)
-            found = self._tracees.trace(copy, most)
-            return found, copy.report is not None and copy.report.kind == "gate"
-        finally:
-            self._copies.end(copy)
-
-    def _passes(self, address: int) -> int:
-        """How often the call passes an address, up to ``MOST_PASSES``."""
-        copy = self._copies.copy(self._root)
-        try:
-            with Breakpoint(copy, address, MOST_PASSES) as passes:
-                self._tracees.resume(copy)
-                await_trap(self._tracees, copy, lambda: False, LIMIT_S)
-                return passes.hits
-        finally:
-            self._copies.end(copy)
-
-    def _reaches(self, copy: Thread, address: int, hit: int) -> bool:
-        with Breakpoint(copy, address, hit):
-            self._tracees.resume(copy)
-            return await_trap(self._tracees, copy, lambda: False, LIMIT_S) == "trapped"
-
-    def count(self, addresses: Sequence[int]) -> dict[int, int]:
-        """How often the call passes each address."""
-        found: dict[int, int] = {}
-        for at in range(0, len(addresses), REGISTERS):
-            some = addresses[at : at + REGISTERS]
-            copy = self._copies.copy(self._root)
-            counts = [Breakpoint(copy, address) for address in some]
-            try:
-                self._tracees.resume(copy)
-                if await_trap(self._tracees, copy, lambda: False, LIMIT_S) != "finished":
-                    raise ClockError("a copy that was left alone did not end its call")
-                found |= {address: count.hits for address, count in zip(some, counts, strict=True)}
-            finally:
-                for count in counts:
-                    count.close()
-                self._copies.end(copy)
-        return found
-
-
-def watchable(trace: Sequence[int]) -> list[int]:
-    """The addresses of a trace; not of what follows on itself, whose repetitions may count as one pass."""
-    repeating = {one for one, other in pairwise(trace) if one == other}
-    return [address for address in trace if address not in repeating]
-
-
-def usable_anchors(traces: Sequence[Sequence[int]]) -> list[int]:
-    """The anchors of a call of which these are traces, the first from its beginning."""
-    # Whether a pass counts that it stands at when it is first let go, processors do not agree on.
-    return [address for address in choose(traces) if address != traces[0][0]]
-
-
-def clock_of(traces: Sequence[Sequence[int]], passes: Mapping[int, int]) -> Clock:
-    """The clock by anchors that the call passes so many times."""
-    checks = traces[::CHECK_EVERY]
-    others = [one for number, one in enumerate(traces) if number % CHECK_EVERY]
-    reaches = reaches_of(traces, list(passes))
-    return Clock(
-        reach=REACH,
-        anchors=tuple(Anchor(address=one, passes=count, reach=reaches[one]) for one, count in passes.items()),
-        covered=coverage(checks, reaches_of(others, choose(others))),
-        kept=kept(traces, reaches),
-    )
-
-
-def choose(traces: Sequence[Sequence[int]], reach: int = REACH) -> list[int]:
-    """Addresses within whose ``reach`` nearly all of the traces lies, with few passes through them.
-
-    Greedily, the one that covers most for each pass.
+    ``weights`` are as long as ``traces``.
     """
-    length = sum(map(len, traces))
-    ends = np.repeat(np.cumsum([len(trace) for trace in traces]), [len(trace) for trace in traces])
-    at: dict[int, list[int]] = defaultdict(list)
-    for number, address in enumerate(address for trace in traces for address in trace):
-        at[address].append(number)
-    repeating = {one for trace in traces for one, other in pairwise(trace) if one == other}
-    spans: dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
-    for address in sorted(at.keys() - repeating):
-        begin = np.array(at[address])
-        spans[address] = begin, np.minimum(np.minimum(begin + reach, ends[begin]), [*begin[1:], length])
-    uncovered = np.ones(length, dtype=np.int64)
 
-    def worth(address: int, left: NDArray[np.int64]) -> float:
-        begin, end = spans[address]
-        return float((left[end] - left[begin]).sum() / (len(begin) + 1))
+    traces: Sequence[Sequence[int]]
+    weights: Sequence[NDArray[np.float64]]
 
-    left = np.arange(length + 1)
-    heap = [(-worth(address, left), address) for address in spans]
-    heapq.heapify(heap)
-    chosen: list[int] = []
-    while heap and left[-1] > (1 - COVERED) * length and len(chosen) < MOST_ANCHORS:
-        _, address = heapq.heappop(heap)
-        value = worth(address, left)
-        if heap and value < -heap[0][0]:  # others cover a part of it by now
-            heapq.heappush(heap, (-value, address))
-            continue
-        for begin, end in zip(*spans[address], strict=True):
-            uncovered[begin:end] = 0
-        chosen.append(address)
-        left = np.concatenate(([0], np.cumsum(uncovered)))
-    return chosen
+    @classmethod
+    def of(cls, traces: Sequence[Sequence[int]], rates: Mapping[int, float]) -> Sample:
+        """Of traces at functions' entries, so many of which (``rates``) begin a trace; the first is sure to.
+
+        An instruction may have come into a trace by each of the entries before it. Those before its own
+        trace are not known, so that a trace's first instructions stand for a little too much.
+        """
+        weights = []
+        for number, trace in enumerate(traces):
+            entered = np.array([rates.get(address, 0.0) for address in trace])
+            weights.append(1.0 / (np.cumsum(entered) + (number == 0)))
+        return cls(traces, weights)
+
+    def anchors(self, reach: int = REACH) -> list[int]:
+        """Addresses within whose ``reach`` nearly all of the call lies, with few passes through them.
+
+        Greedily, the one that covers most for each pass.
+        """
+        lengths = [len(trace) for trace in self.traces]
+        ends = np.repeat(np.cumsum(lengths), lengths)
+        weight = np.concatenate(list(self.weights))
+        at: dict[int, list[int]] = defaultdict(list)
+        for number, address in enumerate(address for trace in self.traces for address in trace):
+            at[address].append(number)
+        repeating = {one for trace in self.traces for one, other in pairwise(trace) if one == other}
+        # Whether a pass counts that it stands at when it is first let go, processors do not agree on.
+        unusable = repeating | {self.traces[0][0]}
+        spans: dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
+        costs: dict[int, float] = {}
+        for address in sorted(at.keys() - unusable):
+            begin = np.array(at[address])
+            spans[address] = (
+                begin,
+                np.minimum(np.minimum(begin + reach, ends[begin]), [*begin[1:], len(ends)]),
+            )
+            costs[address] = float(weight[begin].sum()) + ANCHOR_PASSES
+        uncovered = weight.copy()
+
+        def worth(address: int) -> float:
+            begin, end = spans[address]
+            return float((left[end] - left[begin]).sum() / costs[address])
+
+        left = np.concatenate(([0.0], np.cumsum(uncovered)))
+        enough = (1 - COVERED) * left[-1]
+        heap = [(-worth(address), address) for address in spans]
+        heapq.heapify(heap)
+        chosen: list[int] = []
+        while heap and left[-1] > enough and len(chosen) < MOST_ANCHORS:
+            _, address = heapq.heappop(heap)
+            value = worth(address)
+            if heap and value < -heap[0][0]:  # others cover a part of it by now
+                heapq.heappush(heap, (-value, address))
+                continue
+            for begin, end in zip(*spans[address], strict=True):
+                uncovered[begin:end] = 0.0
+            chosen.append(address)
+            left = np.concatenate(([0.0], np.cumsum(uncovered)))
+        return chosen
+
+    def clock(self, passes: Mapping[int, int]) -> Clock:
+        """The clock by anchors that the call passes so many times."""
+        gaps = self.gaps(passes)
+        reaches = {address: reach_of(*gaps[address]) for address in passes}
+        within = sum(
+            count * float(np.average(np.minimum(gaps[one][0], reaches[one]), weights=gaps[one][1]))
+            for one, count in passes.items()
+        )
+        anchors = [Anchor(address=one, passes=count, reach=reaches[one]) for one, count in passes.items()]
+        pairs = sum(one.passes * one.reach for one in anchors)
+        return Clock(reach=REACH, anchors=tuple(anchors), covered=self.covered(), kept=within / max(1, pairs))
+
+    def covered(self) -> float:
+        """The part within reach of anchors that are chosen from some of the traces, by the other traces."""
+        checks = Sample(self.traces[::CHECK_EVERY], self.weights[::CHECK_EVERY])
+        chosen = [at for at in range(len(self.traces)) if at % CHECK_EVERY]
+        others = Sample([self.traces[at] for at in chosen], [self.weights[at] for at in chosen])
+        gaps = others.gaps(others.anchors())
+        reaches = {address: reach_of(*both) for address, both in gaps.items()}
+        within = 0.0
+        for trace, weight in zip(checks.traces, checks.weights, strict=True):
+            passed = [at for at, address in enumerate(trace) if address in reaches]
+            for one, other in pairwise([*passed, len(trace)]):
+                within += float(weight[one : min(other, one + reaches[trace[one]])].sum())
+        return within / float(np.concatenate(list(checks.weights)).sum())
+
+    def gaps(self, anchors: Collection[int]) -> dict[int, tuple[NDArray[np.int64], NDArray[np.float64]]]:
+        """Steps from the passes through each anchor to the next pass through any, or to a trace's end.
+
+        With the weights of the passes.
+        """
+        found: dict[int, list[tuple[int, float]]] = {address: [] for address in anchors}
+        for trace, weight in zip(self.traces, self.weights, strict=True):
+            passes = [at for at, address in enumerate(trace) if address in found]
+            for one, other in pairwise([*passes, len(trace)]):
+                found[trace[one]].append((other - one, weight[one]))
+        return {
+            address: (np.array([gap for gap, _ in both]), np.array([weight for _, weight in both]))
+            for address, both in found.items()
+        }
 
 
-def gaps(traces: Sequence[Sequence[int]], anchors: Collection[int]) -> dict[int, list[int]]:
-    """Steps from the passes through each anchor to the next pass through any, or to a trace's end."""
-    found: dict[int, list[int]] = {address: [] for address in anchors}
-    for trace in traces:
-        passes = [at for at, address in enumerate(trace) if address in found]
-        for one, other in pairwise([*passes, len(trace)]):
-            found[trace[one]].append(other - one)
-    return found
+def reach_of(gaps: NDArray[np.int64], weights: NDArray[np.float64], reach: int = REACH) -> int:
+    """How many steps after an anchor are to be drawn: ``REACHED`` of those up to ``reach`` are within."""
+    within = np.minimum.outer(np.arange(1, reach + 1), gaps) @ weights
+    return 1 + int(np.searchsorted(within, REACHED * within[-1]))
 
 
-def reaches_of(
-    traces: Sequence[Sequence[int]], addresses: Sequence[int], reach: int = REACH
-) -> dict[int, int]:
-    """How many steps after each anchor are to be drawn: ``REACHED`` of those up to ``reach`` are within."""
-    found = {}
-    for address, steps in gaps(traces, addresses).items():
-        within = np.minimum.outer(np.arange(1, reach + 1), np.array(steps, dtype=np.int64)).sum(axis=1)
-        found[address] = 1 + int(np.searchsorted(within, REACHED * within[-1]))
-    return found
+def begun_at(entries: Mapping[int, int], draw: np.random.Generator) -> tuple[list[int], dict[int, float]]:
+    """The functions at which the traces of a call begin that enters so many times each function.
 
-
-def coverage(traces: Sequence[Sequence[int]], reaches: Mapping[int, int]) -> float:
-    """The part of the traces that lies within reach of these anchors."""
-    within = sum(min(gap, reaches[one]) for one, steps in gaps(traces, reaches).items() for gap in steps)
-    return within / sum(map(len, traces))
-
-
-def kept(traces: Sequence[Sequence[int]], reaches: Mapping[int, int]) -> float:
-    """The part of the pairs of pass and step before which no other pass comes."""
-    both = [(gap, reaches[one]) for one, steps in gaps(traces, reaches).items() for gap in steps]
-    return sum(min(gap, reach) for gap, reach in both) / max(1, sum(reach for _, reach in both))
+    A function as often in the mean as the logarithm of its entries says. And how many traces begin at an
+    entry of each, in the mean.
+    """
+    sizes = np.log2(1.0 + np.array(list(entries.values())))
+    expected = TRACES * sizes / sizes.sum()
+    points = np.arange(TRACES) + draw.random()
+    drawn = np.searchsorted(np.cumsum(expected), points).clip(max=len(entries) - 1)
+    functions = list(entries)
+    rates = {one: float(some) / entries[one] for one, some in zip(functions, expected, strict=True)}
+    return [functions[int(one)] for one in drawn], rates

@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeVar
 
-_PEEKUSER, _CONT, _SINGLESTEP, _DETACH, _SYSCALL = 3, 7, 9, 17, 24
+_PEEKUSER, _POKEUSER, _CONT, _SINGLESTEP, _DETACH, _SYSCALL = 3, 6, 7, 9, 17, 24
 _SEIZE, _INTERRUPT, _LISTEN = 0x4206, 0x4207, 0x4208
 _GETEVENTMSG, _GETSIGINFO, _PEEKSIGINFO = 0x4201, 0x4202, 0x4209
 _GETREGSET, _SETREGSET, _GET_SYSCALL_INFO = 0x4204, 0x4205, 0x420E
@@ -276,6 +276,11 @@ def walk(tid: int, most: int, until: Collection[int]) -> tuple[int, Report | Non
 def program_counter(tid: int) -> int:
     """Address of the instruction that a standing tracee executes next. x86-64 only."""
     return _call(_PEEKUSER, tid, _PROGRAM_COUNTER_AT)
+
+
+def go_to(tid: int, address: int) -> None:
+    """Have a standing tracee go on at ``address``. x86-64 only."""
+    _call(_POKEUSER, tid, _PROGRAM_COUNTER_AT, address)
 
 
 def await_report(tid: int) -> Report:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 from injector import elf, ptrace
-from injector.clock import Clock, Surveyor
+from injector.clock import Clock
 from injector.copies import Copies
 from injector.freeze import Tracees
 from injector.inject import Strike
@@ -25,6 +25,7 @@ from injector.process import Identity, Maps, Process, sleeps
 from injector.ptrace import GoneError, Report, wait_until
 from injector.strike import strike
 from injector.subject import MARK, Subject
+from injector.survey import Asked, Surveyor, Told
 from injector.sweep import BEGINNING, Place, Sweep
 from injector.thread import Thread
 from services.bus import rng
@@ -72,15 +73,9 @@ class StudyRun(Strict):
 
 
 class Task(Strict):
-    """What a worker is asked for: a part of a survey (:mod:`injector.clock`), or the strikes of a leg.
+    """What a worker is asked for: a part of a ``survey``, or the strikes of a leg."""
 
-    Of a survey: the call's beginning; then a ``chain`` of traces that goes on from ``begin``; then how often
-    the addresses are passed.
-    """
-
-    begin: tuple[int, ...] = ()
-    chain: int | None = None
-    addresses: tuple[int, ...] = ()
+    survey: Asked | None = None
     fault: FaultSpec | None = None
     seed: int = 0
     clock: Clock | None = None
@@ -88,15 +83,12 @@ class Task(Strict):
 
 
 class Answer(Strict):
-    """One line of a worker: what came of a place (``refused``: its number), a problem of our own.
+    """One line of a worker: what it found, what came of a place (``refused``: its number), our own problem.
 
-    Of a survey, traces (``whole``: of all of the call), or the passes of each address. The last one to a task
-    has the processor time that worker and copies have used so far.
+    The last one to a task has the processor time that worker and copies have used so far.
     """
 
-    traces: tuple[tuple[int, ...], ...] | None = None
-    whole: bool = False
-    passes: tuple[tuple[int, int], ...] | None = None
+    found: Told | None = None
     run: StudyRun | None = None
     refused: int | None = None
     problem: str = ""
@@ -113,20 +105,10 @@ class Strikes:
         self._copies = Copies(tracees)
         # The same in all copies.
         self._places = elf.Places(pid, Maps(Path(f"/proc/{pid}/maps").read_text()))
+        self.surveyor = Surveyor(tracees, self._copies, self._root, MARK)
         self._limit_s = _BEGIN_S
         took_s = sorted(self._rehearse() for _ in range(REHEARSALS))[REHEARSALS // 2]
         self._limit_s = HANG_TIMES * took_s + HANG_MARGIN_S
-
-    def survey(self, task: Task) -> Answer:
-        """A part of a survey; the same in every run."""
-        surveyor = Surveyor(self._tracees, self._copies, self._root)
-        if task.addresses:
-            return Answer(passes=tuple(surveyor.count(task.addresses).items()))
-        if task.chain is None:
-            begin, whole = surveyor.begin()
-            return Answer(traces=(tuple(begin),), whole=whole)
-        draw = rng.generator(0, f"clock {self._kernel}", task.chain)
-        return Answer(traces=tuple(map(tuple, surveyor.chain(list(task.begin), draw))))
 
     def run(
         self, clock: Clock, leg: Sequence[Place], fault: FaultSpec, seed: int

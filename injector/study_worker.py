@@ -34,6 +34,7 @@ def main() -> None:
 
 
 def _answer(kernel: str, subject: Subject, pid: int, go: int) -> None:
+    from injector.census import CensusError  # noqa: PLC0415
     from injector.clock import ClockError  # noqa: PLC0415
     from injector.copies import CopyError  # noqa: PLC0415
     from injector.study import Answer, Task, striking  # noqa: PLC0415
@@ -46,13 +47,13 @@ def _answer(kernel: str, subject: Subject, pid: int, go: int) -> None:
         with striking(kernel, subject, pid, go) as strikes:
             for line in sys.stdin:
                 task = Task.model_validate_json(line)
-                if task.clock is None or task.fault is None:
-                    say(strikes.survey(task))
-                else:
+                if task.survey is not None:
+                    say(Answer(found=strikes.surveyor.answer(task.survey, f"clock {kernel}")))
+                elif task.clock is not None and task.fault is not None:
                     for index, run in strikes.run(task.clock, task.leg, task.fault, task.seed):
                         say(Answer(run=run) if run is not None else Answer(refused=index))
                 say(Answer(cpu_s=_cpu_s()))
-    except (ClockError, CopyError) as error:
+    except (CensusError, ClockError, CopyError) as error:
         say(Answer(problem=str(error)))
 
 

@@ -2,13 +2,15 @@
 
 from collections import Counter
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scipy.stats import chisquare
 
 from injector import ptrace
-from injector.clock import Anchor, Clock, choose, reaches_of, watchable
+from injector.clock import Anchor, Clock, Sample, reach_of
 from injector.sweep import BEGINNING, Place, Sweep, draw, legs
 from services.bus.rng import generator
 from tests.injector.forked_calls import Standing, standing
@@ -23,10 +25,13 @@ REACH = 12
 def clock_of(trace: Sequence[int]) -> Clock:
     """Anchors as a survey chooses them, but of the whole call."""
     parts = [trace[at : at + 100] for at in range(0, len(trace), 100)]
-    usable = set(watchable(trace)) - {trace[0]}
-    addresses = [one for one in choose(parts, REACH) if one in usable]
-    reaches = reaches_of(parts, addresses, REACH)
-    anchors = [Anchor(address=one, passes=trace.count(one), reach=reaches[one]) for one in addresses]
+    sample = Sample(parts, [np.ones(len(part)) for part in parts])
+    repeating = {one for one, other in pairwise(trace) if one == other}
+    gaps = sample.gaps([one for one in sample.anchors(REACH) if one not in repeating])
+    anchors = [
+        Anchor(address=one, passes=trace.count(one), reach=reach_of(*both, REACH))
+        for one, both in gaps.items()
+    ]
     return Clock(reach=REACH, anchors=tuple(anchors))
 
 
