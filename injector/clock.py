@@ -103,24 +103,9 @@ class Sample:
 
         Greedily, the one that covers most for each pass.
         """
-        lengths = [len(trace) for trace in self.traces]
-        ends = np.repeat(np.cumsum(lengths), lengths)
+        spans = self._spans(reach)
         weight = np.concatenate(list(self.weights))
-        at: dict[int, list[int]] = defaultdict(list)
-        for number, address in enumerate(address for trace in self.traces for address in trace):
-            at[address].append(number)
-        repeating = {one for trace in self.traces for one, other in pairwise(trace) if one == other}
-        # Whether a pass counts that it stands at when it is first let go, processors do not agree on.
-        unusable = repeating | {self.traces[0][0]}
-        spans: dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]] = {}
-        costs: dict[int, float] = {}
-        for address in sorted(at.keys() - unusable):
-            begin = np.array(at[address])
-            spans[address] = (
-                begin,
-                np.minimum(np.minimum(begin + reach, ends[begin]), [*begin[1:], len(ends)]),
-            )
-            costs[address] = float(weight[begin].sum()) + ANCHOR_PASSES
+        costs = {one: float(weight[begin].sum()) + ANCHOR_PASSES for one, (begin, _) in spans.items()}
         uncovered = weight.copy()
 
         def worth(address: int) -> float:
@@ -143,6 +128,25 @@ class Sample:
             chosen.append(address)
             left = np.concatenate(([0.0], np.cumsum(uncovered)))
         return chosen
+
+    def _spans(self, reach: int) -> dict[int, tuple[NDArray[np.int64], NDArray[np.int64]]]:
+        """Where, in all traces in a row, the reaches begin and end of each address that can be an anchor."""
+        lengths = [len(trace) for trace in self.traces]
+        ends = np.repeat(np.cumsum(lengths), lengths)
+        at: dict[int, list[int]] = defaultdict(list)
+        for number, address in enumerate(address for trace in self.traces for address in trace):
+            at[address].append(number)
+        repeating = {one for trace in self.traces for one, other in pairwise(trace) if one == other}
+        # Whether a pass counts that it stands at when it is first let go, processors do not agree on.
+        unusable = repeating | {self.traces[0][0]}
+        found = {}
+        for address in sorted(at.keys() - unusable):
+            begin = np.array(at[address])
+            found[address] = (
+                begin,
+                np.minimum(np.minimum(begin + reach, ends[begin]), [*begin[1:], len(ends)]),
+            )
+        return found
 
     def clock(self, passes: Mapping[int, int]) -> Clock:
         """The clock by anchors that the call passes so many times."""
