@@ -37,11 +37,12 @@ from injector.ward import ward_off_traps
 from services.bus.byte_code import wrote_byte_code
 from services.bus.lifeline import die_with_parent
 from services.bus.line import CourierLine, Line, NonsenseError, receive
+from services.bus.messages import prepare
 from services.bus.node import NodeSetup
 from services.bus.process_stat import listed_pid
 from services.bus.realtime import courier
 from services.bus.session import Meeting, topic_key
-from services.bus.topics import TOPICS
+from services.bus.topics import HORIZON_TYPE, TOPICS
 from services.bus.vitals import Vitals
 
 EXIT_BUG = 70
@@ -97,8 +98,10 @@ def main() -> None:
     if (wrote_byte_code() or compiled.buffer) and turn != AGAIN:
         begin_again("deploy.mould", *server_arguments(parent_pid, ORDERS, PAPERS))
     papers.recv(MESSAGE_SIZE)
-    for topic in TOPICS:
-        topic_key(topic)
+    prepare(HORIZON_TYPE)
+    for topic in TOPICS.values():
+        topic_key(topic.name)
+        prepare(topic.type)
     beside = _fork_beside(sidecars, papers)
     fixed = OWN_PIDS.begin()
     gc.collect()

@@ -175,6 +175,11 @@ def decode(payload: bytes, message_type: str) -> Any:
         raise MalformedMessageError(message) from error
 
 
+def prepare(message_type: str) -> None:
+    """Have the code made that encodes and decodes a type, instead of when it is first used."""
+    TYPESTORE.get_msgdef(message_type)
+
+
 def header(stamp_ns: int, frame_id: str) -> Header:
     """A header with a virtual-time stamp."""
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
