@@ -16,7 +16,7 @@ import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from deploy.mould import EXIT_KEEPER, MESSAGE_SIZE, NODE, SIDECAR, ZENOH_RUNTIME, server_arguments
+from deploy.mould import EXIT_KEEPER, MESSAGE_SIZE, NODE, SIDECAR, ZENOH_RUNTIME, server_argument
 from deploy.stack import STACK, Process
 from injector import pristine
 from services.bus.node import NodeSetup
@@ -53,13 +53,11 @@ class ForkServer:
         self.socket, papers = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         # A session of its own: Ctrl-C at the terminal is the supervisor's business.
         self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
-            pristine.command("deploy.mould", *server_arguments(os.getpid(), orders, papers.fileno())),
-            pass_fds=[orders, papers.fileno()],
+            pristine.command("deploy.mould", server_argument(os.getpid())),
             env=pristine.environment(os.environ) | {"ZENOH_RUNTIME": ZENOH_RUNTIME},
             start_new_session=True,
-            stdin=subprocess.DEVNULL,
+            stdin=papers.fileno(),
         )
-        os.close(orders)
         papers.close()
         self._keepers: dict[int, int] = {}
         self._statuses: dict[int, int] = {}
@@ -67,7 +65,8 @@ class ForkServer:
             {process.name: process.module for process in stack.values() if process.sidecar == sidecar}
             for sidecar in (False, True)
         )
-        self.socket.send(json.dumps([nodes, sidecars]).encode())
+        socket.send_fds(self.socket, [json.dumps([nodes, sidecars]).encode()], [orders])
+        os.close(orders)
         try:
             started = self.socket.recv(MESSAGE_SIZE)
         except ConnectionResetError:  # it ended before it had read what it is to import

@@ -32,9 +32,8 @@ from numba.core import event as numba_event
 from deploy.stack import FOREIGN
 from injector.keys import CONSTANT_RANDOM
 from injector.own_pids import OWN_PIDS
-from injector.pristine import AGAIN, begin_again
+from injector.pristine import begin_again_if
 from injector.ward import ward_off_traps
-from services.bus.byte_code import wrote_byte_code
 from services.bus.lifeline import die_with_parent
 from services.bus.line import CourierLine, Line, NonsenseError, receive
 from services.bus.messages import prepare
@@ -52,7 +51,7 @@ EXIT_KEEPER = 71
 """What is reported of a process whose keeper failed, which is our own failure."""
 
 ORDERS, PAPERS = 100, 101
-"""Its descriptors of the supervisor's orders and papers, whatever they were called where they come from."""
+"""Its descriptors of the supervisor's orders and papers, which come with the first of the papers."""
 
 ZENOH_RUNTIME = (
     "(acc: (handover: app), net: (handover: app), tx: (handover: app), rx: (handover: app),"
@@ -69,6 +68,7 @@ SIDE_SERVER = "fork-sidecars"
 
 _PR_SET_NAME = 15
 _PR_SET_PTRACER = 0x59616D61
+_DESCRIPTOR = struct.Struct("=i")
 _PAPERS = struct.Struct("<iII")
 """What a process gets first: its tracer, and the sizes of its setup and of the meeting."""
 
@@ -79,24 +79,30 @@ class ForkError(Exception):
     """A fork of this process would be broken."""
 
 
-def server_arguments(parent_pid: int, orders: int, papers: int) -> list[str]:
-    """The arguments of the server's process, always as long."""
-    return [f"{number:010}" for number in (parent_pid, orders, papers)]
+def server_argument(parent_pid: int) -> str:
+    """The argument of the server's process, always as long."""
+    return f"{parent_pid:010}"
 
 
 def main() -> None:
-    """Entry point: ``deploy.mould FIRST|AGAIN PARENT_PID ORDERS PAPERS``; see :mod:`injector.pristine`."""
-    turn, parent_pid, *descriptors = sys.argv[1], *map(int, sys.argv[2:])
-    die_with_parent(parent_pid)
-    for descriptor, wanted in zip(descriptors, (ORDERS, PAPERS), strict=True):
-        os.dup2(descriptor, wanted)
+    """Entry point: ``deploy.mould PARENT_PID``, with the papers' socket for standard input."""
+    die_with_parent(int(sys.argv[1]))
+    os.dup2(0, PAPERS)
     os.closerange(3, ORDERS)
     papers = socket.socket(fileno=PAPERS)
-    nodes, sidecars = json.loads(papers.recv(MESSAGE_SIZE, socket.MSG_PEEK))
+    # socket.recv_fds() peeks at nothing.
+    message, ((_, _, rights),), _, _ = papers.recvmsg(
+        MESSAGE_SIZE, socket.CMSG_LEN(_DESCRIPTOR.size), socket.MSG_PEEK
+    )
+    (orders,) = _DESCRIPTOR.unpack(rights)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    for descriptor, wanted in ((orders, ORDERS), (nothing, 0)):
+        os.dup2(descriptor, wanted)
+        os.close(descriptor)
+    nodes, sidecars = json.loads(message)
     with numba_event.install_recorder("numba:compile") as compiled:
         modules = _imported(nodes)
-    if (wrote_byte_code() or compiled.buffer) and turn != AGAIN:
-        begin_again("deploy.mould", *server_arguments(parent_pid, ORDERS, PAPERS))
+    begin_again_if(bool(compiled.buffer), stdin=PAPERS)
     papers.recv(MESSAGE_SIZE)
     prepare(HORIZON_TYPE)
     for topic in TOPICS.values():

@@ -11,19 +11,25 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from injector.keys import fix_keys
-
-FIRST, AGAIN = "first", "again"
-"""The first argument of the module that is begun: whether it was started again, see :func:`begin_again`."""
+from services.bus.process_stat import CLOCK_TICKS_PER_S, process_stat
 
 _ROOT = Path(__file__).parents[1]
 _PATH = "ZENFI_PATH"
 """What PYTHONPATH is called until start.py runs: Python would list those folders at once."""
 
 _ADDR_NO_RANDOMIZE = 0x0040000
+_ARGUMENTS_AT = 4
+"""Where, in the command of such a process, the module stands that it runs."""
+
+_SECOND = 110
+"""A descriptor that is open in a process that was started again. The kernel knows it, our memory does not."""
+
 _KEPT = ("HOME", "LD_LIBRARY_PATH", "PATH", "TMPDIR", "XDG_CACHE_HOME")
 """What the nodes' libraries need of the user's environment, beside numba's own settings."""
 
@@ -48,21 +54,54 @@ def environment(of: Mapping[str, str]) -> dict[str, str]:
 
 
 def command(module: str, *arguments: str) -> list[str]:
-    """The command that runs ``module`` so, with :data:`FIRST` and the ``arguments``."""
-    return [sys.executable, "-P", "-m", "injector.pristine", module, FIRST, *arguments]
+    """The command that runs ``module`` so."""
+    return [sys.executable, "-P", "-m", "injector.pristine", module, *arguments]
 
 
-def begin_again(module: str, *arguments: str) -> None:
-    """Start this process again, with :data:`AGAIN`: what it had to compile lies ready now.
+def begin_again_if(compiled: bool, stdin: int = 0) -> None:
+    """Start this process again, as it was begun, if numba had to compile what it imported, or Python had.
 
-    What comes out of a cache lies elsewhere in memory than what has just been compiled.
+    What comes out of a cache lies elsewhere in memory than what has just been compiled. That goes once; who
+    was started again has the same memory as who was not, so a fork looks which of them this is. ``stdin`` is
+    where what was its standard input is now.
     """
-    whole = [sys.executable, "-P", "-m", "injector.pristine", module, AGAIN, *arguments]
-    os.execv(sys.executable, whole)  # noqa: S606 - our own interpreter and module
+    pid = os.fork()
+    if not pid:
+        status = os.EX_SOFTWARE
+        with suppress(BaseException):
+            status = int(not _is_open(_SECOND) and (compiled or _wrote_byte_code(os.getppid())))
+        os._exit(status)
+    if os.waitpid(pid, 0)[1]:
+        os.dup2(stdin, 0)
+        os.dup2(0, _SECOND)
+        _begin_again()
+    os.closerange(_SECOND, _SECOND + 1)
+
+
+def _begin_again() -> None:
+    """With the arguments and the environment that it was begun with, in their order."""
+    arguments = Path("/proc/self/cmdline").read_bytes().split(b"\0")[_ARGUMENTS_AT:-1]
+    entries = [one.partition(b"=") for one in Path("/proc/self/environ").read_bytes().split(b"\0") if one]
+    surroundings = {b"PYTHONPATH" if name == _PATH.encode() else name: value for name, _, value in entries}
+    whole = [*command(os.fsdecode(arguments[0])), *map(os.fsdecode, arguments[1:])]
+    os.execve(sys.executable, whole, surroundings)  # noqa: S606 - our own interpreter and module
+
+
+def _is_open(descriptor: int) -> bool:
+    return Path(f"/proc/self/fd/{descriptor}").exists()
+
+
+def _wrote_byte_code(process: int) -> bool:
+    """Whether byte code that we use has been written since a process began, or just before."""
+    began_ticks = process_stat(process).start_ticks
+    age_s = time.clock_gettime(time.CLOCK_BOOTTIME) - began_ticks / CLOCK_TICKS_PER_S
+    files = [getattr(module, "__cached__", None) for module in list(sys.modules.values())]
+    newest_s = max(Path(file).stat().st_mtime for file in files if file and Path(file).exists())
+    return newest_s > time.time() - age_s - 1.0
 
 
 def main() -> None:
-    """Entry point: ``python -m injector.pristine MODULE FIRST|AGAIN ARGUMENT ...``."""
+    """Entry point: ``python -m injector.pristine MODULE ARGUMENT ...``."""
     surroundings = {_PATH if name == "PYTHONPATH" else name: value for name, value in os.environ.items()}
     _libc.personality(_libc.personality(0xFFFFFFFF) | _ADDR_NO_RANDOMIZE)
     fix_keys()

@@ -1,4 +1,4 @@
-"""A worker of the kernel study, `injector.study_worker FIRST|AGAIN KERNEL`: tasks in, answers out, in lines.
+"""A worker of the kernel study, `injector.study_worker KERNEL`: tasks in, answers out, in lines.
 
 What it needs to strike is imported after the process that is copied has been forked: the less that one has,
 the faster it is copied. That one must be the same to the byte in all workers, so that they count the same
@@ -13,9 +13,8 @@ import sys
 
 from numba.core import event
 
-from injector.pristine import AGAIN, begin_again
+from injector.pristine import begin_again_if
 from injector.subject import Subject
-from services.bus.byte_code import wrote_byte_code
 from services.bus.lifeline import die_with_parent
 from services.kernels import KERNELS
 
@@ -23,11 +22,10 @@ from services.kernels import KERNELS
 def main() -> None:
     """Answer tasks until there are no more."""
     die_with_parent()
-    turn, kernel = sys.argv[1:]
+    (kernel,) = sys.argv[1:]
     with event.install_recorder("numba:compile") as compiled:
         subject = Subject(KERNELS[kernel])
-    if (wrote_byte_code() or compiled.buffer) and turn != AGAIN:
-        begin_again("injector.study_worker", kernel)
+    begin_again_if(bool(compiled.buffer))
     _answer(kernel, subject, *subject.fork())
     # Without the interpreter's own clean-up: nanobind would complain of OMPL's leaks at length.
     os._exit(os.EX_OK)

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 from injector import pristine
@@ -22,7 +23,7 @@ print(random, ctypes.string_at(block + 8, 8).hex(), hex(block), hex(id(object())
 
 def told(folder: Path, module: str = "telling.told") -> str:
     surroundings = pristine.environment(os.environ) | {"PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"}
-    command = pristine.command(module)
+    command = pristine.command(module, "argument")
     return subprocess.run(
         command, env=surroundings, cwd=folder, capture_output=True, text=True, check=True
     ).stdout
@@ -53,12 +54,23 @@ def test_a_file_beside_our_packages_changes_nothing(tmp_path: Path) -> None:
     assert told(folder) == before
 
 
-def test_it_says_how_often_it_has_begun(tmp_path: Path) -> None:
+def test_one_that_had_to_compile_begins_again_with_the_same_memory(tmp_path: Path) -> None:
     folder = package(tmp_path)
-    (folder / "telling" / "twice.py").write_text(
-        "import sys\n"
-        "from injector.pristine import FIRST, begin_again\n"
-        "print(*sys.argv[1:], flush=True)\n"
-        "if sys.argv[1] == FIRST: begin_again('telling.twice', 'x')\n"
+    program = (
+        "import os, sys\n"
+        "from telling import other\n"
+        "from injector.pristine import begin_again_if\n"
+        "print(other.NAME, os.getpid(), flush=True)\n"
+        "begin_again_if(False)\n"
+        "print([hex(id(one)) for one in (other, *os.environ.items(), *sys.argv)], os.environ, sys.argv)\n"
     )
-    assert told(folder, "telling.twice") == "first\nagain x\n"
+    (folder / "telling" / "twice.py").write_text(program)
+    other = folder / "telling" / "other.py"
+    other.write_text("NAME = 'one'\n")
+    *compiled, memory = told(folder, "telling.twice").splitlines()
+    assert len(compiled) == 2  # the same process, again
+    assert len(set(compiled)) == 1
+    time.sleep(1.5)  # what was written just before a start might have been written since
+    once = told(folder, "telling.twice").splitlines()
+    assert len(once) == 2
+    assert once[1] == memory
