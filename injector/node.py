@@ -12,6 +12,7 @@ from typing import Any
 
 import zenoh
 
+from injector.process import END_LIMIT_MS, Identity, Process, VanishedError
 from injector.program import (
     NeverCalledError,
     ProgramScout,
@@ -21,10 +22,10 @@ from injector.program import (
     programs,
     survey_function,
 )
-from injector.ptrace import hear_of_children
+from injector.ptrace import GoneError, hear_of_children
 from injector.rehearsal import rehearse
 from injector.scope import within
-from injector.scout import Scout, sent_ahead, survey
+from injector.scout import Scout, ScoutError, sent_ahead, survey
 from injector.session import inject
 from injector.way import Call
 from services.bus import announce, rng, session
@@ -56,7 +57,7 @@ def main(setup: NodeSetup, meeting: Meeting, _: Vitals) -> None:
         publisher = bus.declare_publisher(session.topic_key("injection"))
         token = bus.liveliness().declare_token(announce.announcement(setup.name).key)
         if gate.wait():
-            with suppress(FlightOverError):
+            with suppress(FlightOverError, VanishedError):  # the node may be killed meanwhile
                 own = setup.spec.own_stage(aimed_at(fault))
                 record = inject_at(gate, fault, setup.spec.seed, None if own is None else own.function)
                 text = record.model_dump_json(by_alias=True)
@@ -66,47 +67,81 @@ def main(setup: NodeSetup, meeting: Meeting, _: Vitals) -> None:
         token.undeclare()  # type: ignore[no-untyped-call]
 
 
+class Scouts:
+    """The scouts that the node at the gate, or the program in its place, sends ahead; ``sent`` so far."""
+
+    def __init__(self, gate: Gate, target: Announcement, function: str) -> None:
+        self._gate, self._target, self._function = gate, target, function
+        self.sent = 0
+
+    @contextmanager
+    def ahead(self) -> Iterator[Scout]:
+        """A node's.
+
+        :raises FlightOverError: if the flight ends meanwhile.
+        :raises VanishedError: if the node is killed.
+        """
+        self.sent += 1
+        with self._watched(), sent_ahead(self._target, self._gate.send_scout) as scout:
+            yield scout
+        self._await()
+
+    @contextmanager
+    def ahead_of_program(self) -> Iterator[ProgramScout]:
+        """A program's.
+
+        :raises FlightOverError: if the flight ends meanwhile.
+        :raises VanishedError: if the node is killed.
+        """
+        self.sent += 1
+        self._gate.send_scout()
+        self._await()
+        program = alike(self._target, int(self._gate.request()["pid"]))
+        with self._watched(), at_the_function(program, self._function, self._gate.open) as scout:
+            yield scout
+        self._await()
+
+    def _await(self) -> None:
+        if not self._gate.wait():
+            raise FlightOverError
+
+    @contextmanager
+    def _watched(self) -> Iterator[None]:
+        """A scout may be killed because its node is.
+
+        :raises VanishedError: if that is so.
+        :raises ScoutError: if the node lives.
+        """
+        try:
+            yield
+        except (GoneError, VanishedError) as error:
+            with Process(Identity.announced(self._target)) as node:
+                if node.ends_within(END_LIMIT_MS):
+                    message = f"process {node.pid} is gone"
+                    raise VanishedError(message) from error
+            raise ScoutError("a scout was killed, but not its node") from error
+
+
 def inject_at(gate: Gate, fault: FaultSpec, seed: int, function: str | None) -> InjectionRecord:
     """Inject into the node that is at the gate, while every node stands; scouts tell where, if need be.
 
     ``function`` is that of a program in the stage's place.
 
     :raises FlightOverError: if the flight ends meanwhile.
+    :raises VanishedError: if the node is gone.
     """
     request = gate.request()
     trigger = fault.trigger if fault.trigger is not None else Trigger()
     trigger = trigger.model_copy(update={"invocation": int(request["invocation"])})
     target = gate.announced[aimed_at(fault)]
     draw = rng.generator(seed, f"site {fault.target}", fault.seed)
-    scouts = 0
-
-    @contextmanager
-    def ahead() -> Iterator[Scout]:
-        nonlocal scouts
-        scouts += 1
-        with sent_ahead(target, gate.send_scout) as scout:
-            yield scout
-        if not gate.wait():
-            raise FlightOverError
-
-    @contextmanager
-    def ahead_of_program() -> Iterator[ProgramScout]:
-        nonlocal scouts
-        scouts += 1
-        gate.send_scout()
-        if not gate.wait():
-            raise FlightOverError
-        with at_the_function(alike(target, int(gate.request()["pid"])), function or "", gate.open) as scout:
-            yield scout
-        if not gate.wait():
-            raise FlightOverError
-
+    scouts = Scouts(gate, target, function or "")
     if trigger.site is None and trigger.cpu_ns is None:
         if function is None:
-            trigger = survey(ahead, trigger, draw, lambda process: within(fault, process))
+            trigger = survey(scouts.ahead, trigger, draw, lambda process: within(fault, process))
         else:
             try:
-                trigger = survey_function(ahead_of_program, trigger, draw)
+                trigger = survey_function(scouts.ahead_of_program, trigger, draw)
             except NeverCalledError as error:
                 return never_called(gate, fault, trigger, str(error))
     own = os.getpid()
@@ -126,7 +161,7 @@ def inject_at(gate: Gate, fault: FaultSpec, seed: int, function: str | None) -> 
         fault.model_copy(update={"trigger": trigger}),
         rng.generator(seed, f"injection {fault.target}", fault.seed),
     )
-    return record.model_copy(update={"scouts": scouts})
+    return record.model_copy(update={"scouts": scouts.sent})
 
 
 def never_called(gate: Gate, fault: FaultSpec, trigger: Trigger, reason: str) -> InjectionRecord:

@@ -143,9 +143,10 @@ class Process:
     @property
     def alive(self) -> bool:
         """Whether it has not ended."""
-        return not self._ends_within(0)
+        return not self.ends_within(0)
 
-    def _ends_within(self, limit_ms: int) -> bool:
+    def ends_within(self, limit_ms: int) -> bool:
+        """Whether it has ended, or does so within some wall time."""
         poll = select.poll()
         poll.register(self._pidfd, select.POLLIN)
         return bool(poll.poll(limit_ms))
@@ -230,7 +231,7 @@ class Process:
                 restored = self.read_memory(address, len(true)) == true
             except AddressError:
                 restored = False
-            if not restored and not self._ends_within(END_LIMIT_MS):
+            if not restored and not self.ends_within(END_LIMIT_MS):
                 message = f"the instruction at {address:#x} could not be restored"
                 raise AddressError(message)
 
