@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +14,9 @@ from deploy.mission import fly
 from deploy.stack import STACK
 from deploy.supervisor import InfrastructureError
 from services.bus.mission import MissionSpec
-from tests.conftest import alive, cpu_s, descendants, forked, node, wait_until
-from tests.deploy.test_mission import assert_nothing_is_left, fly_and, load
+from tests.conftest import alive, descendants, forked, node, wait_until
+from tests.deploy.mid_flight import fly_and
+from tests.deploy.test_mission import assert_nothing_is_left, load
 
 SPEC = MissionSpec(world="sparse", seed=7)
 
@@ -25,19 +25,10 @@ def couriers(pid: int) -> list[int]:
     return [one for one, name in descendants(pid).items() if name.startswith("courier-")]
 
 
-def in_mid_flight(pid: int) -> None:
-    def flying() -> bool:
-        sim = node(pid, "sim")
-        return sim is not None and cpu_s(sim) > 0.12
-
-    wait_until(flying)
-
-
 def test_each_node_has_one_thread_and_a_courier_for_its_parent(server: ForkServer) -> None:
     seen: list[tuple[int, int]] = []
 
     def look() -> None:
-        in_mid_flight(os.getpid())
         for name in ("sim", "perception", "planning", "control"):
             pid = node(os.getpid(), name)
             assert pid is not None
@@ -57,21 +48,8 @@ def test_each_node_has_one_thread_and_a_courier_for_its_parent(server: ForkServe
 
 
 def test_a_courier_that_dies_is_our_failure(server: ForkServer) -> None:
-    failures: list[str] = []
-
-    def fly_until_it_fails() -> None:
-        try:
-            fly(SPEC, server)
-        except InfrastructureError as error:
-            failures.append(str(error))
-
-    flight = threading.Thread(target=fly_until_it_fails)
-    flight.start()
-    in_mid_flight(os.getpid())
-    os.kill(couriers(os.getpid())[0], signal.SIGKILL)
-    flight.join()
-    assert len(failures) == 1
-    assert "courier" in failures[0]
+    with pytest.raises(InfrastructureError, match="courier"):
+        fly_and(server, SPEC, lambda: os.kill(couriers(os.getpid())[0], signal.SIGKILL))
     wait_until(lambda: not forked(server.pid))
     assert fly(SPEC, server).outcome.result == "success"
     assert_nothing_is_left(server)
@@ -79,28 +57,27 @@ def test_a_courier_that_dies_is_our_failure(server: ForkServer) -> None:
 
 _FLIER = """
 from deploy.forkserver import ForkServer
-from deploy.mission import fly
-from deploy.stack import STACK
-from services.bus.mission import MissionSpec
+from tests.deploy.mid_flight import fly_and
+from tests.deploy.test_courier import SPEC
 while True:
-    fly(MissionSpec(world="sparse", seed=7), ForkServer())
+    fly_and(ForkServer(), SPEC, lambda: print("in mid flight", flush=True))
 """
 
 
 @pytest.mark.parametrize("victim", ["supervisor", "fork server"])
 def test_nobody_outlives_a_killed_parent(victim: str) -> None:
-    supervisor = subprocess.Popen(
-        [sys.executable, "-c", _FLIER], stderr=subprocess.DEVNULL, cwd=Path(__file__).parents[2]
-    )
-    try:
-        in_mid_flight(supervisor.pid)
-        family = descendants(supervisor.pid)
-        server = next(pid for pid, name in family.items() if "-" not in name)
-        os.kill(supervisor.pid if victim == "supervisor" else server, signal.SIGKILL)
-        wait_until(lambda: not any(alive(pid) for pid in family))
-    finally:
-        supervisor.kill()
-        supervisor.wait()
+    flier = [sys.executable, "-c", _FLIER]
+    here = Path(__file__).parents[2]
+    with subprocess.Popen(flier, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=here) as supervisor:
+        try:
+            assert supervisor.stdout is not None
+            assert supervisor.stdout.readline() == b"in mid flight\n"
+            family = descendants(supervisor.pid)
+            server = next(pid for pid, name in family.items() if "-" not in name)
+            os.kill(supervisor.pid if victim == "supervisor" else server, signal.SIGKILL)
+            wait_until(lambda: not any(alive(pid) for pid in family))
+        finally:
+            supervisor.kill()
 
 
 def memory_of_control(server: ForkServer) -> str:

@@ -2,8 +2,7 @@
 
 import os
 import signal
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
@@ -11,7 +10,8 @@ import pytest
 from deploy.forkserver import ForkServer
 from deploy.mission import Flight, fly
 from services.bus.mission import Limits, MissionSpec
-from tests.conftest import cpu_s, folders, forked, node, segments, wait_until
+from tests.conftest import folders, forked, segments
+from tests.deploy.mid_flight import fly_and_kill
 
 SPEC = MissionSpec(world="sparse", seed=7)
 
@@ -37,40 +37,6 @@ def load(processors: int) -> Iterator[None]:
         for child in children:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
-
-
-def fly_and_kill(server: ForkServer, spec: MissionSpec, name: str) -> Flight:
-    """Fly and kill a node on the way; on a busy machine the flight may be over first, then again."""
-    for _ in range(5):
-        flight = fly_and(server, spec, lambda: kill_in_mid_flight(name))
-        if flight.outcome.nodes[name].crashes:
-            return flight
-    pytest.fail("five flights were over before the kill arrived")
-
-
-def fly_and(server: ForkServer, spec: MissionSpec, meanwhile: Callable[[], None]) -> Flight:
-    """Fly while something is done to the flight."""
-    flights: list[Flight] = []
-    thread = threading.Thread(target=lambda: flights.append(fly(spec, server)))
-    thread.start()
-    try:
-        meanwhile()
-    finally:
-        thread.join()
-    return flights[0]
-
-
-def kill_in_mid_flight(name: str) -> None:
-    """Kill a node once the simulator has used a good part of what a flight takes."""
-
-    def flying() -> bool:
-        sim = node(os.getpid(), "sim")
-        return sim is not None and cpu_s(sim) > 0.12
-
-    wait_until(flying)
-    pid = node(os.getpid(), name)
-    if pid is not None:
-        os.kill(pid, signal.SIGKILL)
 
 
 def assert_nothing_is_left(server: ForkServer) -> None:

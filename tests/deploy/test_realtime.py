@@ -7,7 +7,8 @@ from deploy.mission import fly
 from deploy.pairing import Pairs
 from services.bus.mission import FaultSpec, MissionSpec
 from services.bus.world import BoxWorld
-from tests.deploy.test_mission import assert_nothing_is_left, fly_and_kill
+from tests.deploy.mid_flight import fly_and_kill
+from tests.deploy.test_mission import assert_nothing_is_left
 
 A_BOX_IN_THE_WAY = BoxWorld(
     name="box",
