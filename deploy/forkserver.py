@@ -16,7 +16,7 @@ import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from deploy.mould import EXIT_KEEPER, MESSAGE_SIZE, NODE, SIDECAR, ZENOH_RUNTIME, server_argument
+from deploy.mould import EXIT_KEEPER, MESSAGE_SIZE, ZENOH_RUNTIME, server_argument
 from deploy.stack import STACK, Process
 from injector import pristine
 from services.bus.node import NodeSetup
@@ -50,6 +50,7 @@ class ForkServer:
     def __init__(self, stack: Mapping[str, Process] = STACK) -> None:
         self.stack = stack
         orders, self._orders = os.pipe()
+        side_orders, self._side_orders = os.pipe()
         self.socket, papers = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         # A session of its own: Ctrl-C at the terminal is the supervisor's business.
         self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
@@ -65,8 +66,9 @@ class ForkServer:
             {process.name: process.module for process in stack.values() if process.sidecar == sidecar}
             for sidecar in (False, True)
         )
-        socket.send_fds(self.socket, [json.dumps([nodes, sidecars]).encode()], [orders])
+        socket.send_fds(self.socket, [json.dumps([nodes, sidecars]).encode()], [orders, side_orders])
         os.close(orders)
+        os.close(side_orders)
         try:
             started = self.socket.recv(MESSAGE_SIZE)
         except ConnectionResetError:  # it ended before it had read what it is to import
@@ -91,7 +93,7 @@ class ForkServer:
             "tracer_pid": tracer_pid,
         }
         try:
-            os.write(self._orders, SIDECAR if sidecar else NODE)
+            os.write(self._side_orders if sidecar else self._orders, b"+")
             socket.send_fds(self.socket, [json.dumps(order).encode()], [vitals.descriptor, log])
         except BrokenPipeError as error:
             raise ForkServerError("the fork server is gone") from error
@@ -130,6 +132,7 @@ class ForkServer:
     def close(self) -> None:
         """End the server, and with it every process that still runs."""
         os.close(self._orders)
+        os.close(self._side_orders)
         self.socket.close()
         for keeper in self._keepers.values():
             os.close(keeper)

@@ -30,10 +30,11 @@ from types import ModuleType
 from numba.core import event as numba_event
 
 from deploy.stack import FOREIGN
+from injector import forks, own_pids
 from injector.keys import CONSTANT_RANDOM
-from injector.own_pids import OWN_PIDS
 from injector.pristine import begin_again_if
 from injector.ward import ward_off_traps
+from services.bus import scout
 from services.bus.lifeline import die_with_parent
 from services.bus.line import CourierLine, Line, NonsenseError, receive
 from services.bus.messages import prepare
@@ -50,8 +51,9 @@ EXIT_BUG = 70
 EXIT_KEEPER = 71
 """What is reported of a process whose keeper failed, which is our own failure."""
 
-ORDERS, PAPERS = 100, 101
-"""Its descriptors of the supervisor's orders and papers, which come with the first of the papers."""
+ORDERS, SIDE_ORDERS, PAPERS = 100, 101, 102
+"""Its descriptors of the supervisor's orders for nodes and for sidecars, which come with the first papers,
+and of the papers. Each byte is an order."""
 
 ZENOH_RUNTIME = (
     "(acc: (handover: app), net: (handover: app), tx: (handover: app), rx: (handover: app),"
@@ -60,15 +62,12 @@ ZENOH_RUNTIME = (
 """Two threads of Zenoh in a courier instead of six: a tenth less processor time for a flight."""
 
 MESSAGE_SIZE = 1 << 20
-NODE, SIDECAR = b"n", b"s"
-"""Orders: what is to be forked."""
-
 SIDE_SERVER = "fork-sidecars"
 """The name of the process that forks the sidecars."""
 
 _PR_SET_NAME = 15
 _PR_SET_PTRACER = 0x59616D61
-_DESCRIPTOR = struct.Struct("=i")
+_DESCRIPTORS = struct.Struct("=2i")
 _PAPERS = struct.Struct("<iII")
 """What a process gets first: its tracer, and the sizes of its setup and of the meeting."""
 
@@ -92,11 +91,11 @@ def main() -> None:
     papers = socket.socket(fileno=PAPERS)
     # socket.recv_fds() peeks at nothing.
     message, ((_, _, rights),), _, _ = papers.recvmsg(
-        MESSAGE_SIZE, socket.CMSG_LEN(_DESCRIPTOR.size), socket.MSG_PEEK
+        MESSAGE_SIZE, socket.CMSG_LEN(_DESCRIPTORS.size), socket.MSG_PEEK
     )
-    (orders,) = _DESCRIPTOR.unpack(rights)
+    orders, side_orders = _DESCRIPTORS.unpack(rights)
     nothing = os.open(os.devnull, os.O_RDONLY)
-    for descriptor, wanted in ((orders, ORDERS), (nothing, 0)):
+    for descriptor, wanted in ((orders, ORDERS), (side_orders, SIDE_ORDERS), (nothing, 0)):
         os.dup2(descriptor, wanted)
         os.close(descriptor)
     nodes, sidecars = json.loads(message)
@@ -108,13 +107,12 @@ def main() -> None:
     for topic in TOPICS.values():
         topic_key(topic.name)
         prepare(topic.type)
-    beside = _fork_beside(sidecars, papers)
-    fixed = OWN_PIDS.begin()
+    _fork_beside(sidecars, papers)
+    home = own_pids.begin()
     gc.collect()
     gc.freeze()
-    papers.send(json.dumps({"fixed_pids": fixed}).encode())
-    if _fork_on_order(beside):
-        _keep(papers, modules)
+    papers.send(json.dumps({"fixed_pids": home != own_pids.NOWHERE}).encode())
+    _fork_on_order(papers, modules, home)
     # Without the interpreter's own clean-up: nanobind would complain of OMPL's leaks at length.
     os._exit(0)
 
@@ -122,7 +120,7 @@ def main() -> None:
 def _imported(names: Mapping[str, str]) -> dict[str, ModuleType]:
     modules = {name: importlib.import_module(module) for name, module in names.items()}
     with _compiling_alone():
-        for module in modules.values():
+        for module in (forks, scout, *modules.values()):
             module.warm_up()
     threads = len(list(Path("/proc/self/task").iterdir()))
     if threads != 1:
@@ -143,8 +141,8 @@ def _compiling_alone() -> Iterator[None]:
         yield
 
 
-def _fork_beside(sidecars: Mapping[str, str], papers: socket.socket) -> int:
-    """Fork the process that forks the sidecars; the descriptor that takes its orders.
+def _fork_beside(sidecars: Mapping[str, str], papers: socket.socket) -> None:
+    """Fork the process that forks the sidecars.
 
     :raises ForkError: if it cannot import their modules.
     """
@@ -152,37 +150,32 @@ def _fork_beside(sidecars: Mapping[str, str], papers: socket.socket) -> int:
     server = os.getpid()
     if os.fork():
         theirs.close()
+        os.close(SIDE_ORDERS)
         if not own.recv(1):
             raise ForkError("the sidecars' modules were not imported")
-        return own.detach()
+        own.close()
+        return
     die_with_parent(server)
     _libc.prctl(_PR_SET_NAME, SIDE_SERVER.encode())
     own.close()
-    os.dup2(theirs.fileno(), ORDERS)
+    os.dup2(SIDE_ORDERS, ORDERS)
+    os.close(SIDE_ORDERS)
     modules = _imported(sidecars)
     gc.freeze()
     theirs.send(b"+")
     theirs.close()
-    if _fork_on_order():
-        _keep(papers, modules)
+    _fork_on_order(papers, modules)
     os._exit(0)
 
 
-def _fork_on_order(beside: int | None = None) -> bool:
-    """Fork at each order until there are no more; True in the fork. Those for sidecars go ``beside``.
-
-    Nothing is kept from one round to the next, so that every fork has the same memory.
-    """
+def _fork_on_order(
+    papers: socket.socket, modules: Mapping[str, ModuleType], home: int = own_pids.NOWHERE
+) -> None:
+    """Fork a keeper for each order, until there are no more."""
     # Nobody is waited for: keepers report by themselves.
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)
-    while order := os.read(ORDERS, 1):
-        if beside is not None and order == SIDECAR:
-            os.write(beside, order)
-        elif not OWN_PIDS.fork():
-            if beside is not None:
-                os.close(beside)
-            return True
-    return False
+    if forks.fork_on_order(ORDERS, home):
+        _keep(papers, modules)
 
 
 # -- the keeper --------------------------------------------------------------------------------------

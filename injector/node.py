@@ -33,8 +33,9 @@ from services.bus.announce import Announcement
 from services.bus.clock import FlightClock
 from services.bus.messages import Injection, encode
 from services.bus.mission import FaultSpec, Trigger
-from services.bus.node import SCOUT, NodeSetup
+from services.bus.node import NodeSetup
 from services.bus.outcome import InjectionRecord
+from services.bus.scout import SCOUT
 from services.bus.session import Meeting
 from services.bus.topics import TOPICS
 from services.bus.vitals import Vitals

@@ -16,60 +16,37 @@ from pathlib import Path
 from services.bus.lifeline import die_with_parent
 
 CALLER = "fork-nodes"
-"""The name of a process that forks on behalf of another one, see :meth:`OwnPids.begin`."""
+"""The name of a process that forks on behalf of another one, see :func:`begin`."""
+
+NOWHERE = -1
+"""In the place of the descriptor that :func:`begin` gives: there are no own pids."""
 
 _NEWUSER = 0x10000000
-_NEWPID = 0x20000000
+NEWPID = 0x20000000
 _PR_SET_NAME = 15
 _CAP_SYS_PTRACE, _CAP_SYS_ADMIN = 19, 21
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
-class OwnPids:
-    """Forks of this process that are each pid 1 of a namespace, once that has begun. It has one thread."""
+def begin() -> int:
+    """Have it so for what :func:`injector.forks.fork_on_order` forks from now on; a descriptor for it.
 
-    def __init__(self) -> None:
-        self._home = -1
-
-    def begin(self) -> bool:
-        """Have it so from now on; False where that is not allowed, and then all goes on without.
-
-        Root makes namespaces as it likes, and whoever may not, within a user namespace. In the latter case
-        this process waits from here on, dies with the one that goes on in its place, and the other way round.
-        """
-        if not is_allowed():
-            return False
-        self._begin()
-        return True
-
-    def _begin(self) -> None:
-        if not _is_privileged():
-            _go_on_in_a_user_namespace()
-        self._home = os.open("/proc/self/ns/pid", os.O_RDONLY | os.O_CLOEXEC)
-        # Nothing is done for the first time when a process is forked: all are to begin with the same memory.
-        _checked(_libc.unshare(0))
-        _checked(_libc.setns(self._home, _NEWPID))
-
-    def fork(self) -> int:
-        """As :func:`os.fork`.
-
-        :raises OSError: if there is no namespace to be had.
-        """
-        if self._home < 0:
-            return os.fork()
-        _checked(_libc.unshare(_NEWPID))
-        pid = os.fork()
-        if pid:
-            _checked(_libc.setns(self._home, _NEWPID))
-        else:
-            os.close(self._home)
-            self._home = -1
-        return pid
+    ``NOWHERE`` if that is not allowed. Root makes namespaces as it likes, and whoever may not, within a user
+    namespace. In the latter case this process waits from here on, dies with the one that goes on in its
+    place, and the other way round. It has one thread.
+    """
+    return _begin() if is_allowed() else NOWHERE
 
 
-OWN_PIDS = OwnPids()
-"""Those of this process."""
+def _begin() -> int:
+    if not _is_privileged():
+        _go_on_in_a_user_namespace()
+    home = os.open("/proc/self/ns/pid", os.O_RDONLY | os.O_CLOEXEC)
+    # Nothing is done for the first time when a process is forked: all are to begin with the same memory.
+    _checked(_libc.unshare(0))
+    _checked(_libc.setns(home, NEWPID))
+    return home
 
 
 def is_allowed() -> bool:
@@ -84,9 +61,9 @@ def is_allowed() -> bool:
 
 
 def _tried() -> int:
-    pids = OwnPids()
-    pids._begin()
-    first = pids.fork()
+    _begin()
+    _checked(_libc.unshare(NEWPID))
+    first = os.fork()
     if not first:
         second = os.fork()
         if not second:
@@ -110,7 +87,7 @@ def _go_on_in_a_user_namespace() -> None:
     user, group = os.getuid(), os.getgid()
     if not user:
         raise PermissionError("root without its capabilities has no use for a user namespace")
-    _checked(_libc.unshare(_NEWUSER | _NEWPID))
+    _checked(_libc.unshare(_NEWUSER | NEWPID))
     maps = {"setgroups": "deny", "uid_map": f"{user} {user} 1", "gid_map": f"{group} {group} 1"}
     for name, text in maps.items():
         Path(f"/proc/self/{name}").write_text(text)

@@ -8,8 +8,7 @@ import signal
 
 _PR_SET_PDEATHSIG = 1
 
-_libc = ctypes.PyDLL(None)
-"""Other than CDLL it leaves the interpreter's state as it is: a scout and its node go on alike."""
+_libc = ctypes.CDLL(None)
 
 
 def die_with_parent(parent_pid: int | None = None) -> None:

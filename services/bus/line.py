@@ -25,8 +25,9 @@ LARGEST = 1 << 28
 """Bytes of a frame beyond which it is none of ours."""
 
 _FRAME = struct.Struct("<BBxxIqq")
-_ANSWER = struct.Struct("<IIq")
-_VALUE_AT = 8
+ANSWER = struct.Struct("<IIq")
+"""Of an answer before its body: the body's length, and the two numbers of :class:`Answer`, the value last."""
+
 _MESSAGE = struct.Struct("<BxxxIqq")
 
 
@@ -58,7 +59,6 @@ class Line:
     def __init__(self, end: socket.socket) -> None:
         self._socket = end
         self._told: list[bytes] = []
-        self._short = bytearray(256)
 
     def tell(self, kind: int, place: int = 0, first: int = 0, second: int = 0, payload: bytes = b"") -> None:
         """Say something that needs no answer. It goes out with the next question, or :meth:`send`."""
@@ -86,25 +86,12 @@ class Line:
         """
         self.tell(kind, place, first, second, payload)
         self.send()
-        size, dropped, value = _ANSWER.unpack(receive(self._socket, _ANSWER.size))
+        size, dropped, value = ANSWER.unpack(receive(self._socket, ANSWER.size))
         return Answer(value, dropped, receive(self._socket, size) if size else b"")
 
-    def is_answered(self, question: bytes, text: bytes) -> bool:
-        """Ask what :func:`question` made, and wait; whether the answer is ``text`` and not empty.
-
-        However often it is called, the memory of the process stays as it was: no object is kept while
-        another one comes and goes.
-
-        :raises LineError: if nobody answers in time.
-        """
-        self._socket.sendall(question)
-        self._socket.recv_into(self._short, _ANSWER.size, socket.MSG_WAITALL)
-        if not self._short[_VALUE_AT]:
-            raise LineError("nobody answers")
-        size = self._short[0]
-        if size:
-            self._socket.recv_into(self._short, size, socket.MSG_WAITALL)
-        return size == len(text) and self._short.startswith(text)
+    def fileno(self) -> int:
+        """The descriptor of the socket, past what is told and not sent."""
+        return self._socket.fileno()
 
     def close(self) -> None:
         """Hang up: there is nothing more to say."""
@@ -149,7 +136,7 @@ class CourierLine:
     def answer(self, value: int, dropped: int = 0, body: bytes = b"") -> None:
         """Answer what the node asked; in vain if it is dead."""
         try:
-            self._socket.sendall(_ANSWER.pack(len(body), dropped, value) + body)
+            self._socket.sendall(ANSWER.pack(len(body), dropped, value) + body)
         except OSError:
             return  # hear() will tell
 

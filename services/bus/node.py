@@ -31,7 +31,7 @@ from services.bus.model import Strict
 from services.bus.platform import KernelLatency
 from services.bus.ports import Input, as_it_is
 from services.bus.recovery import Recovery
-from services.bus.scout import fork_scout
+from services.bus.scout import stand_at_gate
 from services.bus.source_fault import SourceFault
 from services.bus.topics import STAGES, TOPICS, published_by
 from services.bus.vitals import Vitals
@@ -47,9 +47,6 @@ DETECTOR = "detector"
 
 GATE_SIGNAL = signal.SIGURG
 """Marks the beginning and the end of an armed call to the tracer; ignored by default."""
-
-SCOUT = b"scout"
-"""The injector's answer at the gate that asks for a scout, after which the node asks again."""
 
 TOPIC_NUMBERS = {name: number for number, name in enumerate(TOPICS)}
 
@@ -255,17 +252,15 @@ class Node:
         request = json.dumps(
             {"phase": phase, "kernel": kernel, "invocation": invocation, "virtual_time_ns": self.now_ns}
         )
-        question = line.question(session.gate_key(self.name), request.encode(), GATE_TIMEOUT_S)
         self._page["gated"] = 1
-        while self._courier.is_answered(question, SCOUT):
-            if self._scout():
-                return True
+        if self._stand_at_gate(session.gate_key(self.name), request):
+            return True
         self._page["gated"] = 0
         return False
 
-    def _scout(self) -> bool:
-        """Send a scout ahead; True in the scout, False once it has ended."""
-        return fork_scout()
+    def _stand_at_gate(self, key: str, request: str) -> bool:
+        """Ask at the gate until it opens; True in a scout that is sent ahead."""
+        return stand_at_gate(self._courier, line.question(key, request.encode(), GATE_TIMEOUT_S))
 
     def _cpu_ns(self) -> int:
         """Processor time of who computes."""

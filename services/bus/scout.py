@@ -1,31 +1,125 @@
 """Scouts: copies of a node that run an armed call ahead of it, so that it is known what there is to strike.
 
 A scout is a fork of the node at the gate. It has the node's memory and only its main thread, runs the
-same call in view of the injector and ends with it; it never reaches the session.
+same call in view of the injector and ends with it; it never reaches the session. A replay sends no scouts and
+is to find the node's memory alike, so all of this is compiled (:mod:`services.bus.libc`).
 """
 
 from __future__ import annotations
 
-import ctypes
+import errno
 import os
+import signal
+import socket
 
-from services.bus.lifeline import die_with_parent
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
-_fork = ctypes.PyDLL(None).fork
-"""Other than that of CDLL and os.fork it leaves the interpreter as it is: node and scout go on alike."""
+from services.bus import libc
+from services.bus.line import ANSWER, Line, LineError
+
+SCOUT = b"scout"
+"""The injector's answer at the gate that asks for a scout, after which the node asks again."""
+
+_OPEN, _IN_SCOUT = 0, 1
+_UNANSWERED, _GONE = -1000, -1001
+
+_LONGEST = 256
+"""Bytes of an answer at the gate."""
+
+_PR_SET_PDEATHSIG = 1
+_SIGKILL, _EINTR = int(signal.SIGKILL), errno.EINTR
+_MSG_NOSIGNAL, _MSG_WAITALL = int(socket.MSG_NOSIGNAL), int(socket.MSG_WAITALL)
 
 
-def fork_scout() -> bool:
-    """Fork one; True in the scout, False in the node once the scout has ended.
+def stand_at_gate(line: Line, question: bytes) -> bool:
+    """Ask at the gate (:func:`services.bus.line.question`) until it opens; True in a scout sent ahead.
 
-    It leaves the node's memory as it was: a replay, which sends no scouts, is to find it alike. So no
-    object is kept while another one comes and goes.
-
-    :raises OSError: if there can be none.
+    :raises LineError: if nobody answers in time, or the courier is gone.
+    :raises OSError: if there can be no scout.
     """
-    node = os.getpid()
-    if _fork() == 0:
-        die_with_parent(node)
-        return True
-    os.waitpid(-1, 0)
-    return False
+    asked, scout = (np.frombuffer(text, np.uint8).copy() for text in (question, SCOUT))
+    answer = _stand_at_gate(line.fileno(), asked, np.zeros(ANSWER.size + _LONGEST, np.uint8), scout)
+    if answer == _UNANSWERED:
+        raise LineError("nobody answers")
+    if answer == _GONE:
+        raise LineError("the courier is gone")
+    if answer < 0:
+        raise OSError(-answer, os.strerror(-answer))
+    return bool(answer == _IN_SCOUT)
+
+
+def warm_up() -> None:
+    """Have it compiled."""
+    courier, node = socket.socketpair()
+    with courier, node:
+        courier.send(ANSWER.pack(0, 0, 1))
+        stand_at_gate(Line(node), b"?")
+
+
+@njit(cache=True)
+def _stand_at_gate(
+    line: int, question: NDArray[np.uint8], answer: NDArray[np.uint8], scout: NDArray[np.uint8]
+) -> int:
+    """``_OPEN``, ``_IN_SCOUT``, ``_UNANSWERED``, ``_GONE`` or an error's negative number."""
+    head = len(answer) - _LONGEST
+    while True:
+        if libc.send(line, question.ctypes.data, len(question), _MSG_NOSIGNAL) != len(question):
+            return _GONE
+        if not _receive(line, answer[:head]):
+            return _GONE
+        size, replies = answer[:4].view(np.uint32)[0], answer[8:head].view(np.int64)[0]
+        if not replies:
+            return _UNANSWERED
+        text = answer[head : head + size]
+        if len(text) != size or not _receive(line, text):
+            return _GONE
+        if not _same(text, scout):
+            return _OPEN
+        text[:] = 0  # in a replay there was no such answer
+        forked = _fork_scout()
+        if forked:
+            return forked
+
+
+@njit(cache=True)
+def _receive(line: int, buffer: NDArray[np.uint8]) -> bool:
+    """Fill the buffer; False if the other end is gone."""
+    got = 0
+    while got < len(buffer):
+        more = libc.recv(line, buffer.ctypes.data + got, len(buffer) - got, _MSG_WAITALL)
+        if more < 0 and libc.error() == _EINTR:
+            continue
+        if more <= 0:
+            return False
+        got += more
+    return True
+
+
+@njit(cache=True)
+def _same(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
+    """As ``np.array_equal``, which makes an array."""
+    if len(one) != len(other):
+        return False
+    for place in range(len(one)):  # noqa: SIM110 - numba has no all()
+        if one[place] != other[place]:
+            return False
+    return True
+
+
+@njit(cache=True)
+def _fork_scout() -> int:
+    """Fork one: 1 in the scout, 0 in the node once the scout has ended, or an error's negative number."""
+    node = libc.getpid()
+    scout = libc.fork()
+    if scout < 0:
+        return -libc.error()
+    if scout:
+        while libc.waitpid(scout, 0, 0) < 0 and libc.error() == _EINTR:
+            pass
+        return 0
+    libc.prctl(_PR_SET_PDEATHSIG, _SIGKILL)
+    if libc.getppid() != node:
+        libc.exit_at_once(1)
+    return 1

@@ -7,13 +7,13 @@ import os
 import signal
 import sys
 
-from services.bus import session
 from services.bus.horizon import Stamped
-from services.bus.line import Line
+from services.bus.line import Line, LineError
 from services.bus.messages import MalformedMessageError, decode
 from services.bus.node import GATE_TIMEOUT_S, Node, NodeSetup
 from services.bus.own_stack import OwnStage, trigger
 from services.bus.process_stat import listed_pid
+from services.bus.scout import SCOUT
 from services.bus.topics import TOPICS, published_by
 from services.bus.vitals import Vitals
 from services.foreign.program import Program, ProgramDiedError, ProgramError, Put, greeting, step
@@ -104,7 +104,15 @@ class ForeignNode(Node):
         program.tell(self._told[0])
         return program
 
-    def _scout(self) -> bool:
+    def _stand_at_gate(self, key: str, request: str) -> bool:
+        """Ask at the gate until it opens; the scouts that are sent ahead are programs, none of us."""
+        while (answer := self.ask(key, request, GATE_TIMEOUT_S)) == SCOUT:
+            self._send_scout(key)
+        if answer is None:
+            raise LineError("nobody answers at the gate")
+        return False
+
+    def _send_scout(self, key: str) -> None:
         """Have another process of the program go through the call in view of the injector.
 
         It is told all that the program was told, so it stands where the program stands.
@@ -116,14 +124,13 @@ class ForeignNode(Node):
                 scout.tell(told)
                 scout.answer()
             request = json.dumps({"phase": "scout", "pid": listed_pid(scout.pid)})
-            self.ask(session.gate_key(self.name), request, GATE_TIMEOUT_S)
+            self.ask(key, request, GATE_TIMEOUT_S)
             scout.tell(self._now)
             scout.answer()
         except (ProgramDiedError, ProgramError):
             pass  # the injector has seen enough
         finally:
             scout.kill()
-        return False
 
     def _cpu_ns(self) -> int:
         return self._program.cpu_ns

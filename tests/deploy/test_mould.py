@@ -10,8 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from deploy.forkserver import ForkServer
+from deploy.mission import fly
 from deploy.stack import Process
 from services.bus import latency
+from services.bus.mission import Limits, MissionSpec
 
 
 def test_two_servers_never_compile_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,11 +29,11 @@ def test_two_servers_never_compile_at_once(tmp_path: Path, monkeypatch: pytest.M
         assert (pid, begins, is_done) == (same, "begins", "is done")
 
 
-def memory(server: ForkServer) -> dict[int, NDArray[np.uint64]]:
-    """The private memory that the server can write, by address."""
+def memory(pid: int) -> dict[int, NDArray[np.uint64]]:
+    """The private memory that a process can write, by address."""
     found = {}
-    with Path(f"/proc/{server.pid}/mem").open("rb", 0) as content:
-        for line in Path(f"/proc/{server.pid}/maps").read_text().splitlines():
+    with Path(f"/proc/{pid}/mem").open("rb", 0) as content:
+        for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
             extent, permissions, *_ = line.split()
             if permissions == "rw-p":
                 start, end = (int(bound, 16) for bound in extent.split("-"))
@@ -51,8 +53,20 @@ def test_a_server_that_had_to_compile_has_the_memory_of_the_others() -> None:
     memories = []
     for _ in range(3):
         with closing(ForkServer()) as server:
-            memories.append(memory(server))
+            memories.append(memory(server.pid))
     compiled, second, third = memories
     # Pids and times are in the same places of any two.
     assert len(different(second, third)) < 200
     assert len(different(compiled, second) - different(second, third)) < 40
+
+
+def test_what_a_server_has_forked_leaves_no_trace_in_its_memory() -> None:
+    """What it forks fiftieth begins with the memory of what it forks fifth."""
+    spec = MissionSpec(world="sparse", limits=Limits(mission_time_s=0.2))
+    with closing(ForkServer()) as server:
+        fly(spec, server)
+        first = memory(server.pid)
+        for _ in range(9):
+            fly(spec, server)
+        # The pid of what was forked last lies on the stack and in the C library.
+        assert len(different(first, memory(server.pid))) < 5

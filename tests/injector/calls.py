@@ -24,9 +24,9 @@ from services.bus.rng import generator
 LOOP = "add rax,rcx"
 
 _CALLER = """
-import ctypes, mmap, signal, sys
+import ctypes, mmap, os, signal, sys
 sys.path.insert(0, sys.argv[1])
-from services.bus.scout import fork_scout
+from services.bus.lifeline import die_with_parent
 libc = ctypes.CDLL(None)
 libc.prctl(0x59616D61, ctypes.c_ulong(-1), 0, 0, 0)  # anybody may trace us
 libc.prctl(1, 9)  # die with the test
@@ -39,8 +39,12 @@ call = ctypes.PYFUNCTYPE(ctypes.c_uint64, ctypes.c_uint32)(address)
 call(1)
 print(address + 4, flush=True)
 while (line := sys.stdin.readline()) != "pass\\n":
-    if line == "scout\\n" and fork_scout():
-        break
+    if line == "scout\\n":
+        scout = os.fork()
+        if not scout:
+            die_with_parent()
+            break
+        os.waitpid(scout, 0)
     print("gate", flush=True)
 signal.raise_signal(signal.SIGURG)
 result = call(int(sys.argv[2]))

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -14,32 +15,42 @@ NOBODY = 65534
 TELLING = """
 import os, sys
 from threading import get_native_id
-from injector.own_pids import OWN_PIDS
+from injector.forks import fork_on_order, warm_up
+from injector.own_pids import NOWHERE, begin
 from services.bus.process_stat import listed_pid
 
-if not OWN_PIDS.begin():
+warm_up()
+home = begin()
+if home == NOWHERE:
     sys.exit(os.EX_NOPERM)
-for _ in range(3):
-    keeper = OWN_PIDS.fork()
-    if not keeper:
-        waits, go = os.pipe()
-        node = os.fork()
-        if not node:
-            os.read(waits, 1)
-            print(os.getpid(), get_native_id(), os.getppid(), os.readlink("/proc/self"), flush=True, end=" ")
-            os.abort()
-        print(os.getpid(), node, listed_pid(node), flush=True, end=" ")
-        os.write(go, b"+")
-        print(os.waitstatus_to_exitcode(os.waitpid(node, 0)[1]), flush=True)
-        os._exit(0)
-    os.waitpid(keeper, 0)
+reads, orders = os.pipe()
+waits_for_end, end = os.pipe()
+if not os.fork():
+    for _ in range(3):
+        os.write(orders, b"+")
+        os.read(waits_for_end, 1)
+    os._exit(0)
+os.close(orders)
+if not fork_on_order(reads, home):
+    sys.exit()
+waits, go = os.pipe()
+node = os.fork()
+if not node:
+    os.read(waits, 1)
+    print(os.getpid(), get_native_id(), os.getppid(), os.readlink("/proc/self"), flush=True, end=" ")
+    os.abort()
+print(os.getpid(), node, listed_pid(node), flush=True, end=" ")
+os.write(go, b"+")
+print(os.waitstatus_to_exitcode(os.waitpid(node, 0)[1]), flush=True)
+os.write(end, b"+")
+os._exit(0)
 """
 
 
-def tell(user: int | None) -> subprocess.CompletedProcess[str]:
+def tell(user: int | None, cache: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-B", "-c", TELLING],
-        env={"PYTHONPATH": f"{ROOT}:{os.pathsep.join(sys.path)}"},
+        env={"PYTHONPATH": f"{ROOT}:{os.pathsep.join(sys.path)}", "NUMBA_CACHE_DIR": str(cache)},
         cwd="/",
         capture_output=True,
         text=True,
@@ -55,7 +66,10 @@ def test_each_time_the_pids_are_the_same(user: int | None) -> None:
     if user is not None and os.getuid():
         pytest.skip("only root can be another user")
     try:
-        told = tell(user)
+        with TemporaryDirectory() as folder:
+            cache = Path(folder)
+            cache.chmod(0o777)  # whoever the other user is
+            told = tell(user, cache)
     except PermissionError:
         pytest.skip("another user may not run this Python: its folder is closed")
     if told.returncode == os.EX_NOPERM:

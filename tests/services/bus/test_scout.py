@@ -1,0 +1,115 @@
+"""Scouts leave no trace in the node that sends them: a replay, which sends none, finds its memory alike."""
+
+import os
+import signal
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from services.bus.lifeline import die_with_parent
+from services.bus.line import ANSWER, CourierLine, Line, LineError, question
+from services.bus.scout import SCOUT, stand_at_gate, warm_up
+
+QUESTION = question("gate", b"may I?", 1.0)
+GONE = ANSWER.pack(0, 0, 0)
+
+
+Heap = dict[int, NDArray[np.uint64]]
+
+
+def heap(pid: int) -> Heap:
+    """The private memory that a process can write, by address, without the stack."""
+    found = {}
+    with Path(f"/proc/{pid}/mem").open("rb", 0) as content:
+        for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
+            extent, permissions, *_, name = line.split()
+            if permissions == "rw-p" and name != "[stack]":
+                start, end = (int(bound, 16) for bound in extent.split("-"))
+                content.seek(start)
+                found[start] = np.frombuffer(content.read(end - start), np.uint64)
+    return found
+
+
+@contextmanager
+def node_at_the_gate() -> Iterator[Callable[[Sequence[bytes]], Heap]]:
+    """Lets a node pass the gate again and again, by the answers that are given; its heap behind the gate."""
+    courier, end = socket.socketpair()
+    node = os.fork()
+    if not node:
+        die_with_parent()
+        line = Line(end)
+        while not stand_at_gate(line, QUESTION):
+            signal.raise_signal(signal.SIGSTOP)
+        os._exit(0)
+    told = CourierLine(courier)
+
+    def let_pass(answers: Sequence[bytes]) -> Heap:
+        for answer in answers:
+            assert told.hear() is not None
+            told.answer(1, 0, answer)
+        assert os.WIFSTOPPED(os.waitpid(node, os.WUNTRACED)[1])
+        found = heap(node)
+        os.kill(node, signal.SIGCONT)
+        return found
+
+    with courier, end:
+        try:
+            yield let_pass
+        finally:
+            os.kill(node, signal.SIGKILL)
+            os.waitpid(node, 0)
+
+
+def changed(before: Heap, after: Heap) -> set[int]:
+    assert before.keys() == after.keys()
+    return {at + 8 * int(word) for at, words in after.items() for word in np.flatnonzero(words != before[at])}
+
+
+def test_a_node_is_the_same_whether_it_has_sent_scouts_or_not() -> None:
+    warm_up()
+    with node_at_the_gate() as let_pass:
+        for _ in range(100):  # until the interpreter has learnt what it runs
+            let_pass([b"open"])
+        # What passing alone writes: objects come and go, each time in another of a few places.
+        heaps = [let_pass([b"open"]) for _ in range(8)]
+        usual = set.union(*(changed(before, after) for before, after in pairwise(heaps)))
+        assert changed(heaps[-1], let_pass([*[SCOUT] * 20, b"open"])) <= usual
+
+
+def test_a_scout_is_told_that_it_is_one() -> None:
+    courier, end = socket.socketpair()
+    with courier, end:
+        reads, says = os.pipe()
+        node = os.fork()
+        if not node:
+            die_with_parent()
+            os.write(says, b"scout" if stand_at_gate(Line(end), QUESTION) else b"node")
+            os._exit(0)
+        told = CourierLine(courier)
+        heard = [told.hear()]
+        told.answer(1, 0, SCOUT)
+        assert os.read(reads, 16) == b"scout"
+        heard.append(told.hear())
+        told.answer(1)
+        assert os.read(reads, 16) == b"node"
+        assert os.waitpid(node, 0)[1] == 0
+        os.close(reads)
+        os.close(says)
+    assert [one is not None and one.payload for one in heard] == [b"gate\0may I?"] * 2
+
+
+@pytest.mark.parametrize(("answer", "what"), [(GONE, "nobody answers"), (b"", "the courier is gone")])
+def test_a_gate_at_which_nobody_is_opens_for_nobody(answer: bytes, what: str) -> None:
+    courier, end = socket.socketpair()
+    with end:
+        courier.sendall(answer)
+        courier.shutdown(socket.SHUT_WR)
+        with pytest.raises(LineError, match=what):
+            stand_at_gate(Line(end), QUESTION)
+        courier.close()
