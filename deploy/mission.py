@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +122,12 @@ class _Mission:
 
     def fly(self, *, keep_messages: bool) -> Flight:
         begin = time.monotonic()
+        flight = self._flown(keep_messages=keep_messages)
+        # All that a flight takes, its end included.
+        outcome = flight.outcome.model_copy(update={"wall_s": time.monotonic() - begin})
+        return replace(flight, outcome=outcome)
+
+    def _flown(self, *, keep_messages: bool) -> Flight:
         with mission_folder() as folder:
             meeting = session.Meeting(folder, f"zenfi/{folder.name}")
             if self._spec.clock == "realtime":
@@ -137,7 +143,7 @@ class _Mission:
                     self._supervisor.end(GRACE_S, lambda: self._take_in(0.001))
                     self._pass_on(self._settling.rest(self._end_ns))
                     trace = self._recorder.trace(self._end_ns)
-                    outcome = self._outcome(trace, time.monotonic() - begin)
+                    outcome = self._outcome(trace)
                     messages = self._recorder.until(self._end_ns) if keep_messages else None
                     return Flight(outcome, trace, messages, self._settling.late)
                 finally:
@@ -398,7 +404,8 @@ class _Mission:
 
     # -- telling -----------------------------------------------------------------------------------
 
-    def _outcome(self, trace: Trace, wall_s: float) -> Outcome:
+    def _outcome(self, trace: Trace) -> Outcome:
+        """All but its wall time."""
         assert self._result is not None  # noqa: S101 - the loop ends with a result
         fault, injection = self._spec.fault, self._injection
         if fault is not None and injection is None:
@@ -420,7 +427,7 @@ class _Mission:
             reason=self._reason,
             qof=self._qof if self._qof is not None else NO_FLIGHT,
             digest=trace.digest(),
-            wall_s=wall_s,
+            wall_s=0.0,
             nodes=nodes,
             topics={topic.name: trace.report(topic.name, None) for topic in RECORDED},
             injection=injection,

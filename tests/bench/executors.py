@@ -1,8 +1,8 @@
 """What scheduling costs on this machine's slots and on a Dask cluster's.
 
-``python -m tests.bench.executors [RUNS]`` (60): flies the same campaign by each executor in one slot and
-sets its wall time beside the flights' own, as a ratio within one run. Figures are of this machine, as it is
-loaded now.
+``python -m tests.bench.executors [RUNS]`` (40): flies the same campaign of whole flights by each executor
+in one slot and sets its wall time beside the flights' own, as a ratio within one run. Figures are of this
+machine, as it is loaded now.
 """
 
 import os
@@ -25,7 +25,7 @@ def overhead(store: Path, path: str, *arguments: str) -> tuple[float, list[str]]
 
 
 def main() -> None:
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 60
+    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 40
     with (
         tempfile.TemporaryDirectory() as name,
         LocalCluster(
@@ -37,7 +37,7 @@ def main() -> None:
         ) as cluster,
     ):
         folder = Path(name)
-        path = spec(folder, runs)
+        path = spec(folder, runs, whole=True)
         local, here = overhead(folder / "local", path)
         at = cluster.scheduler_address.replace("tcp", "dask")
         dask, there = overhead(folder / "dask", path, "--executor", at)
