@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import replace
 from importlib.util import cache_from_source
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from deploy.forkserver import ForkServer
 from deploy.mission import fly
-from deploy.stack import Process
+from deploy.stack import STACK, Process
 from services.bus import latency
 from services.bus.mission import Limits, MissionSpec
 
@@ -70,3 +71,14 @@ def test_what_a_server_has_forked_leaves_no_trace_in_its_memory() -> None:
             fly(spec, server)
         # The pid of what was forked last lies on the stack and in the C library.
         assert len(different(first, memory(server.pid))) < 5
+
+
+def test_nodes_have_nothing_to_compile_or_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each flight would do it anew, and what it does then lies in a node's memory."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    learns = "tests.fixtures.nodes.learns"
+    stack = {name: one if one.sidecar else replace(one, module=learns) for name, one in STACK.items()}
+    with closing(ForkServer(stack)) as server:
+        assert fly(MissionSpec(world="dense", seed=7), server).outcome.result == "success"
+    learnt = (tmp_path / "learnt").read_text().splitlines()
+    assert sorted(learnt) == [f"{name} begins" for name in ("control", "perception", "planning", "sim")]
