@@ -78,16 +78,23 @@ def clopper_pearson(successes: int, trials: int, level: float = 0.95) -> Interva
 
 
 def median_interval(values: Sequence[float], level: float = 0.95) -> Interval | None:
-    """The interval of a median of ``values`` (n,), in their unit, between two of them; of any distribution.
+    """The interval of a median of ``values`` (n,), in their unit; of any continuous distribution.
 
-    As many values lie below a median as heads fall (David and Nagaraja, Order Statistics, 7.1): it covers at
-    least ``level``. None where no two values do: at 95 %, with fewer than six.
+    As many values lie below a median as heads fall (David and Nagaraja, Order Statistics, 7.1). Intervals
+    between two of the values cover a little more or less than ``level``: it lies between the next two, as far
+    from either as Hettmansperger and Sheather say (1986, Stat. Probab. Lett. 4:75). None where no two values
+    cover it: at 95 %, with fewer than six.
     """
-    below = int(binom.ppf((1 - level) / 2, len(values), 0.5)) if values else 0
-    if below == 0:
+    n = len(values)
+    outer = int(binom.ppf((1 - level) / 2, n, 0.5)) if n else 0
+    if outer == 0:
         return None
+    more, less = (1 - 2 * float(binom.cdf(below, n, 0.5)) for below in (outer - 1, outer))
+    beyond = (more - level) / (more - less)
+    inwards = (n - outer) * beyond / (outer + (n - 2 * outer) * beyond)
     ordered = sorted(values)
-    return Interval(ordered[below - 1], ordered[-below])
+    low, high = ordered[outer - 1], ordered[-outer]
+    return Interval(low + inwards * (ordered[outer] - low), high + inwards * (ordered[-outer - 1] - high))
 
 
 def newcombe(successes: tuple[int, int], trials: tuple[int, int], level: float = 0.95) -> Interval:
