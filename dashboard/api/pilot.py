@@ -58,12 +58,12 @@ def _fly(store: Store, found: Campaign, slots: int | None) -> None:
         failed = True
         raise
     finally:
-        now = line(store, store.find(found.label))
-        _say(Told(kind="campaign", event=now))
+        left = store.find(found.label)
         # What has ended, or was paused by a failure, is not to be taken up again by itself.
-        over = now.phase == "paused" if failed else now.phase in ENDED
-        if over and store.wished(found) == "fly":
+        over = left.phase == "paused" if failed else left.phase in ENDED
+        if over and left.wish == "fly":
             store.wish(found, "")
+        _say(Told(kind="campaign", event=line(store, store.find(found.label))))
 
 
 def _watch(scheduler: Scheduler, found: Campaign) -> None:

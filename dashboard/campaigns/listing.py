@@ -35,7 +35,11 @@ _RUN = ("id", "arm", "world", "fault", "number", "seed", "phase", "attempts", "e
 
 
 class CampaignLine(Strict):
-    """Where a campaign stands. ``interrupted``: its scheduler is gone, it can be resumed."""
+    """Where a campaign stands.
+
+    ``interrupted``: its scheduler is gone, it can be resumed. ``queued``: also one that waits for its turn to
+    be flown again.
+    """
 
     campaign: str
     phase: Phase
@@ -118,10 +122,15 @@ def line(store: Store, one: Campaign) -> CampaignLine:
 
 
 def _line(store: Store, one: Campaign, counts: Counter[str]) -> CampaignLine:
+    phase: Phase = one.phase
+    if phase == "running" and not store.is_flying(one):
+        phase = "interrupted"
+    if phase in ("paused", "failed") and one.wish == "fly":
+        phase = "queued"
     return CampaignLine(
         campaign=one.label,
-        phase="interrupted" if one.phase == "running" and not store.is_flying(one) else one.phase,
-        reason=one.reason,
+        phase=phase,
+        reason="" if phase == "queued" else one.reason,
         runs=sum(counts.values()),
         done=counts["done"],
         failed=counts["failed"],

@@ -69,13 +69,14 @@ class RepeatedError(BadSpecError):
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """A campaign as stored; ``label`` is what people call it."""
+    """A campaign as stored; ``label`` is what people call it, ``wish`` what was asked last."""
 
     id: int
     spec: CampaignSpec
     phase: CampaignPhase
     reason: str
     created: str
+    wish: str = ""
 
     @property
     def label(self) -> str:
@@ -152,7 +153,7 @@ class Store:
                 raise RepeatedError(request) from error
             assert key is not None  # noqa: S101 - an insert has one
             connection.execute(sa.insert(RunRow), [_row(int(key[0]), run) for run in runs(spec)])
-        return Campaign(int(key[0]), spec, "queued", "", created)
+        return Campaign(int(key[0]), spec, "queued", "", created, wish)
 
     def campaigns(self) -> list[Campaign]:
         """All of them, the oldest first."""
@@ -393,4 +394,4 @@ def _campaign(row: Any) -> Campaign:
     except ValidationError as error:
         message = f"{row.name}-{row.id}: stored by another version of zenfi: {one_line(error)}"
         raise BadSpecError(message) from error
-    return Campaign(row.id, spec, row.phase, row.reason, row.created)
+    return Campaign(row.id, spec, row.phase, row.reason, row.created, row.wish)

@@ -115,8 +115,10 @@ def test_a_campaign_that_waits_for_its_turn_is_paused_and_flown_later(app: FastA
     assert told == ["paused", "paused"]
     assert store.wanted() == []
     assert store.states(store.find(label)).count("queued") == store.progress(store.find(label)).total()
-    assert ask(app, f"{CAMPAIGNS}/{label}/resume", "POST").status_code == 202
+    resumed = ask(app, f"{CAMPAIGNS}/{label}/resume", "POST")
+    assert (resumed.status_code, resumed.json()["phase"], resumed.json()["reason"]) == (202, "queued", "")
     assert [one.label for one in store.wanted()] == [label]
+    assert ask(app, f"{CAMPAIGNS}/{label}/pause", "POST").json()["phase"] == "paused"
 
 
 def test_runs_come_in_pages_that_neither_repeat_nor_leave_out(app: FastAPI) -> None:
