@@ -16,8 +16,8 @@ from injector.freeze import Tracees
 from injector.ptrace import NT_PRSTATUS, Report
 from injector.thread import Thread
 from injector.x86_64 import entering, outside_of_calls
+from services.bus.libc import CLONE
 
-_CLONE = 56
 _CLONE_PARENT = 0x8000
 _SYSCALL = b"\x0f\x05"
 _SET_SIZE = 512
@@ -48,7 +48,7 @@ class Copies:
         """
         tid = of.tid
         own = outside_of_calls(ptrace.read_registers(tid, NT_PRSTATUS, _SET_SIZE))
-        call = entering(own, self._instruction, _CLONE, _CLONE_PARENT | signal.SIGCHLD, 0, 0, 0, 0)
+        call = entering(own, self._instruction, CLONE, _CLONE_PARENT | signal.SIGCHLD, 0, 0, 0, 0)
         ptrace.write_registers(tid, NT_PRSTATUS, call)
         ptrace.resume(tid)
         report = ptrace.await_report(tid)

@@ -7,10 +7,14 @@ processes that have gone round it a different number of times differ in their me
 
 from __future__ import annotations
 
+import platform
 from typing import Any
 
 from numba import njit, types
 from numba.np.numpy_support import carray
+
+CLONE = {"x86_64": 56, "aarch64": 220}[platform.machine()]
+"""The number of the system call."""
 
 _types: Any = types
 
@@ -25,6 +29,7 @@ read = _function("read", _types.intp, _int, _pointer, _size)
 recv = _function("recv", _types.intp, _int, _pointer, _size, _int)
 send = _function("send", _types.intp, _int, _pointer, _size, _int)
 fork = _function("fork", _int)
+syscall = _function("syscall", _long, _long, _long, _long, _long, _long, _long)
 waitpid = _function("waitpid", _int, _int, _pointer, _int)
 getpid = _function("getpid", _int)
 getppid = _function("getppid", _int)

@@ -1,8 +1,11 @@
 """Scouts leave no trace in the node that sends them: a replay, which sends none, finds its memory alike."""
 
+import gc
 import os
 import signal
 import socket
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
@@ -36,34 +39,44 @@ def heap(pid: int) -> Heap:
     return found
 
 
+def be_a_node(descriptor: int) -> None:
+    """Pass the gate again and again, and stand still behind it."""
+    die_with_parent()
+    gc.disable()  # as a node does
+    warm_up()
+    line = Line(socket.socket(fileno=descriptor))
+    while not stand_at_gate(line, QUESTION):
+        signal.raise_signal(signal.SIGSTOP)
+    os._exit(0)
+
+
 @contextmanager
 def node_at_the_gate() -> Iterator[Callable[[Sequence[bytes]], Heap]]:
-    """Lets a node pass the gate again and again, by the answers that are given; its heap behind the gate."""
+    """Lets a node pass the gate by the answers that are given; its heap behind the gate."""
     courier, end = socket.socketpair()
-    node = os.fork()
-    if not node:
-        die_with_parent()
-        line = Line(end)
-        while not stand_at_gate(line, QUESTION):
-            signal.raise_signal(signal.SIGSTOP)
-        os._exit(0)
+    program = f"from {__name__} import be_a_node; be_a_node({end.fileno()})"
+    node = subprocess.Popen(
+        [sys.executable, "-c", program],
+        pass_fds=[end.fileno()],
+        cwd=Path(__file__).parents[3],
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},  # a node has one thread
+    )
     told = CourierLine(courier)
 
     def let_pass(answers: Sequence[bytes]) -> Heap:
         for answer in answers:
             assert told.hear() is not None
             told.answer(1, 0, answer)
-        assert os.WIFSTOPPED(os.waitpid(node, os.WUNTRACED)[1])
-        found = heap(node)
-        os.kill(node, signal.SIGCONT)
+        assert os.WIFSTOPPED(os.waitpid(node.pid, os.WUNTRACED)[1])
+        found = heap(node.pid)
+        node.send_signal(signal.SIGCONT)
         return found
 
-    with courier, end:
+    with courier, end, node:
         try:
             yield let_pass
         finally:
-            os.kill(node, signal.SIGKILL)
-            os.waitpid(node, 0)
+            node.kill()
 
 
 def changed(before: Heap, after: Heap) -> set[int]:
@@ -72,12 +85,11 @@ def changed(before: Heap, after: Heap) -> set[int]:
 
 
 def test_a_node_is_the_same_whether_it_has_sent_scouts_or_not() -> None:
-    warm_up()
     with node_at_the_gate() as let_pass:
         for _ in range(100):  # until the interpreter has learnt what it runs
             let_pass([b"open"])
         # What passing alone writes: objects come and go, each time in another of a few places.
-        heaps = [let_pass([b"open"]) for _ in range(8)]
+        heaps = [let_pass([b"open"]) for _ in range(24)]
         usual = set.union(*(changed(before, after) for before, after in pairwise(heaps)))
         assert changed(heaps[-1], let_pass([*[SCOUT] * 20, b"open"])) <= usual
 
