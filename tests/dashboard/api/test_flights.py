@@ -8,7 +8,7 @@ from deploy.replay import Replay
 from services.bus.mission import FaultSpec, Limits, MissionSpec
 
 MISSION = MissionSpec(limits=Limits(mission_time_s=6))
-LONG = MissionSpec(mission="scanning", limits=Limits(mission_time_s=20))
+LONG = MissionSpec(mission="scanning", limits=Limits(mission_time_s=40))
 """Under way for seconds on its watch: virtual seconds go by ten times as fast."""
 
 
@@ -45,7 +45,7 @@ def test_a_flight_is_struck_by_hand_after_the_moment_it_was_asked_for(client: Cl
 
 
 def test_nodes_and_processes_of_a_flight_are_shown(client: Client) -> None:
-    watched = client.fly(MISSION.model_copy(update={"seed": 5})).campaign.campaign
+    watched = client.fly(MISSION.model_copy(update={"seed": 5, "clock": "realtime"})).campaign.campaign
     seen: set[str] = set()
     for event in client.watch(watched):
         if event.kind == "flight" and not seen:

@@ -15,7 +15,7 @@ from services.bus.outcome import Outcome
 from tests.conftest import descendants
 
 LEASE_S = 60.0
-SHORT = MissionSpec(limits=Limits(mission_time_s=0.6))
+SHORT = MissionSpec(limits=Limits(mission_time_s=1.5))
 PLANNED = dict(
     enumerate(
         runs(

@@ -100,8 +100,9 @@ def test_a_killed_job_costs_one_attempt(tmp_path: Path, here: Outcomes, victim: 
 
     outcomes, attempts = flown(shards(tmp_path, lease_s=20.0), at_the_nth_beginning(3, kill))
     assert outcomes == here
-    assert [run for run, count in enumerate(attempts) if count > 1] == killed
-    assert sum(attempts) == len(here) + 1
+    assert killed
+    # The run that was under way by then: that one, or one after it.
+    assert sorted(attempts) == [1] * (len(here) - 1) + [2]
     (left,) = tmp_path.iterdir()
     assert sorted(entry.name for entry in left.iterdir()) == ["jobs", OWNER]
 
