@@ -17,6 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from services.bus import libc
+from services.bus.lifeline import PR_SET_PDEATHSIG
 from services.bus.line import ANSWER, Line, LineError
 
 SCOUT = b"scout"
@@ -28,7 +29,6 @@ _UNANSWERED, _GONE = -1000, -1001
 _LONGEST = 256
 """Bytes of an answer at the gate."""
 
-_PR_SET_PDEATHSIG = 1
 _SIGCHLD, _SIGKILL, _EINTR = int(signal.SIGCHLD), int(signal.SIGKILL), errno.EINTR
 _MSG_NOSIGNAL, _MSG_WAITALL = int(socket.MSG_NOSIGNAL), int(socket.MSG_WAITALL)
 
@@ -122,7 +122,7 @@ def _fork_scout() -> int:
         while libc.waitpid(scout, 0, 0) < 0 and libc.error() == _EINTR:
             pass
         return 0
-    libc.prctl(_PR_SET_PDEATHSIG, _SIGKILL)
+    libc.prctl(PR_SET_PDEATHSIG, _SIGKILL)
     if libc.getppid() != node:
         libc.exit_at_once(1)
     return 1

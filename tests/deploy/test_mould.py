@@ -6,15 +6,14 @@ from dataclasses import replace
 from importlib.util import cache_from_source
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from deploy.forkserver import ForkServer
 from deploy.mission import fly
 from deploy.stack import STACK, Process
 from services.bus import latency
 from services.bus.mission import Limits, MissionSpec
+from tests.process_memory import different, memory
 
 
 def test_two_servers_never_compile_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -28,25 +27,6 @@ def test_two_servers_never_compile_at_once(tmp_path: Path, monkeypatch: pytest.M
     assert len({pid for pid, _ in noted}) == 3
     for (pid, begins), (same, is_done) in zip(noted[::2], noted[1::2], strict=True):
         assert (pid, begins, is_done) == (same, "begins", "is done")
-
-
-def memory(pid: int) -> dict[int, NDArray[np.uint64]]:
-    """The private memory that a process can write, by address."""
-    found = {}
-    with Path(f"/proc/{pid}/mem").open("rb", 0) as content:
-        for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
-            extent, permissions, *_ = line.split()
-            if permissions == "rw-p":
-                start, end = (int(bound, 16) for bound in extent.split("-"))
-                content.seek(start)
-                found[start] = np.frombuffer(content.read(end - start), np.uint64)
-    return found
-
-
-def different(one: dict[int, NDArray[np.uint64]], other: dict[int, NDArray[np.uint64]]) -> set[int]:
-    """The addresses of the words that are not the same."""
-    assert {at: len(words) for at, words in one.items()} == {at: len(words) for at, words in other.items()}
-    return {at + 8 * int(word) for at, words in one.items() for word in np.flatnonzero(words != other[at])}
 
 
 def test_a_server_that_had_to_compile_has_the_memory_of_the_others() -> None:

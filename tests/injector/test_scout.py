@@ -18,9 +18,8 @@ from injector import scout as scouting
 from injector.process import Process
 from injector.scout import Scout, approach, rarest, survey
 from services.bus.mission import FaultSpec, Site, Trigger
-from services.bus.process_stat import process_stat
 from services.bus.rng import generator
-from tests.conftest import alive, descendants, wait_until
+from tests.conftest import alive, descendants
 from tests.injector.calls import LOOP, Caller, caller
 
 pytestmark = pytest.mark.usefixtures("may_inject")
@@ -249,17 +248,6 @@ def test_no_scout_is_left_behind() -> None:
         assert not alive(pid)
         one.tell("pass")
         assert one.result() == one.right
-
-
-def test_a_scout_dies_with_its_node() -> None:
-    with caller(4_000_000_000) as one:
-        one.tell("scout")
-        wait_until(lambda: bool(descendants(one.pid)))
-        (pid,) = descendants(one.pid)
-        wait_until(lambda: process_stat(pid).cpu_s > 0.05)  # it is in its call
-        os.kill(pid, signal.SIGSTOP)  # it is not to end by itself
-        one.process.kill()
-        wait_until(lambda: not alive(pid))
 
 
 KILLED = """

@@ -11,35 +11,20 @@ from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from services.bus.lifeline import die_with_parent
 from services.bus.line import ANSWER, CourierLine, Line, LineError, question
+from services.bus.process_stat import process_stat
 from services.bus.scout import SCOUT, stand_at_gate, warm_up
+from tests.conftest import alive, descendants, wait_until
+from tests.process_memory import Memory, different, memory
 
 QUESTION = question("gate", b"may I?", 1.0)
 GONE = ANSWER.pack(0, 0, 0)
 
 
-Heap = dict[int, NDArray[np.uint64]]
-
-
-def heap(pid: int) -> Heap:
-    """The private memory that a process can write, by address, without the stack."""
-    found = {}
-    with Path(f"/proc/{pid}/mem").open("rb", 0) as content:
-        for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
-            extent, permissions, *_, name = line.split()
-            if permissions == "rw-p" and name != "[stack]":
-                start, end = (int(bound, 16) for bound in extent.split("-"))
-                content.seek(start)
-                found[start] = np.frombuffer(content.read(end - start), np.uint64)
-    return found
-
-
-def be_a_node(descriptor: int) -> None:
+def be_a_node(descriptor: int, *, scouts_stay: bool = False) -> None:
     """Pass the gate again and again, and stand still behind it."""
     die_with_parent()
     gc.disable()  # as a node does
@@ -47,28 +32,34 @@ def be_a_node(descriptor: int) -> None:
     line = Line(socket.socket(fileno=descriptor))
     while not stand_at_gate(line, QUESTION):
         signal.raise_signal(signal.SIGSTOP)
+    while scouts_stay:
+        signal.pause()
     os._exit(0)
 
 
-@contextmanager
-def node_at_the_gate() -> Iterator[Callable[[Sequence[bytes]], Heap]]:
-    """Lets a node pass the gate by the answers that are given; its heap behind the gate."""
-    courier, end = socket.socketpair()
-    program = f"from {__name__} import be_a_node; be_a_node({end.fileno()})"
-    node = subprocess.Popen(
+def start_node(end: socket.socket, *, scouts_stay: bool = False) -> "subprocess.Popen[bytes]":
+    program = f"from {__name__} import be_a_node; be_a_node({end.fileno()}, {scouts_stay=})"
+    return subprocess.Popen(
         [sys.executable, "-c", program],
         pass_fds=[end.fileno()],
         cwd=Path(__file__).parents[3],
         env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},  # a node has one thread
     )
+
+
+@contextmanager
+def node_at_the_gate() -> Iterator[Callable[[Sequence[bytes]], Memory]]:
+    """Lets a node pass the gate by the answers that are given; its heap behind the gate."""
+    courier, end = socket.socketpair()
+    node = start_node(end)
     told = CourierLine(courier)
 
-    def let_pass(answers: Sequence[bytes]) -> Heap:
+    def let_pass(answers: Sequence[bytes]) -> Memory:
         for answer in answers:
             assert told.hear() is not None
             told.answer(1, 0, answer)
         assert os.WIFSTOPPED(os.waitpid(node.pid, os.WUNTRACED)[1])
-        found = heap(node.pid)
+        found = memory(node.pid, stack=False)
         node.send_signal(signal.SIGCONT)
         return found
 
@@ -79,19 +70,14 @@ def node_at_the_gate() -> Iterator[Callable[[Sequence[bytes]], Heap]]:
             node.kill()
 
 
-def changed(before: Heap, after: Heap) -> set[int]:
-    assert before.keys() == after.keys()
-    return {at + 8 * int(word) for at, words in after.items() for word in np.flatnonzero(words != before[at])}
-
-
 def test_a_node_is_the_same_whether_it_has_sent_scouts_or_not() -> None:
     with node_at_the_gate() as let_pass:
         for _ in range(100):  # until the interpreter has learnt what it runs
             let_pass([b"open"])
         # What passing alone writes: objects come and go, each time in another of a few places.
         heaps = [let_pass([b"open"]) for _ in range(24)]
-        usual = set.union(*(changed(before, after) for before, after in pairwise(heaps)))
-        assert changed(heaps[-1], let_pass([*[SCOUT] * 20, b"open"])) <= usual
+        usual = set.union(*(different(before, after) for before, after in pairwise(heaps)))
+        assert different(heaps[-1], let_pass([*[SCOUT] * 20, b"open"])) <= usual
 
 
 def test_a_scout_is_told_that_it_is_one() -> None:
@@ -114,6 +100,19 @@ def test_a_scout_is_told_that_it_is_one() -> None:
         os.close(reads)
         os.close(says)
     assert [one is not None and one.payload for one in heard] == [b"gate\0may I?"] * 2
+
+
+def test_a_scout_dies_with_its_node() -> None:
+    courier, end = socket.socketpair()
+    with courier, end, start_node(end, scouts_stay=True) as node:
+        told = CourierLine(courier)
+        assert told.hear() is not None
+        told.answer(1, 0, SCOUT)
+        wait_until(lambda: bool(descendants(node.pid)))
+        (scout,) = descendants(node.pid)
+        wait_until(lambda: process_stat(scout).state == "S")  # it stays, by itself
+        node.kill()
+        wait_until(lambda: not alive(scout))
 
 
 @pytest.mark.parametrize(("answer", "what"), [(GONE, "nobody answers"), (b"", "the courier is gone")])
