@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import site
 import sys
 import time
 from collections.abc import Mapping
@@ -39,7 +40,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 def environment(of: Mapping[str, str]) -> dict[str, str]:
     """The environment of such a process, made of that of the process that starts it."""
     kept = {name: of[name] for name in sorted(of) if name in _KEPT or name.startswith("NUMBA_")}
-    path = [str(_ROOT), *filter(None, of.get("PYTHONPATH", "").split(os.pathsep))]
+    path = [*_own_folder(), *filter(None, of.get("PYTHONPATH", "").split(os.pathsep))]
     return kept | {
         "LC_ALL": "C.UTF-8",
         # No flight draws a picture, and looking for OpenGL runs processes that answer sooner or later.
@@ -51,6 +52,15 @@ def environment(of: Mapping[str, str]) -> dict[str, str]:
         # The buffers of a terminal and a pipe have different sizes.
         "PYTHONUNBUFFERED": "1",
     }
+
+
+def _own_folder() -> list[str]:
+    """The folder of our packages, unless Python looks there anyway.
+
+    In PYTHONPATH, site-packages would come before the standard library, and for every other Python too.
+    """
+    searched = [*site.getsitepackages(), site.getusersitepackages()]
+    return [] if str(_ROOT) in searched else [str(_ROOT)]
 
 
 def command(module: str, *arguments: str) -> list[str]:

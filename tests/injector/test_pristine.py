@@ -1,9 +1,12 @@
 """Processes that begin with the same memory, whoever starts them and whatever lies about."""
 
+import _struct
 import os
+import shutil
 import subprocess
 import sys
 import time
+from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 from injector import pristine
@@ -22,7 +25,7 @@ print(random, ctypes.string_at(block + 8, 8).hex(), hex(block), hex(id(object())
 
 
 def told(folder: Path, module: str = "telling.told") -> str:
-    surroundings = pristine.environment(os.environ) | {"PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"}
+    surroundings = pristine.environment(os.environ) | {"PYTHONPATH": str(folder)}
     command = pristine.command(module, "argument")
     return subprocess.run(
         command, env=surroundings, cwd=folder, capture_output=True, text=True, check=True
@@ -30,6 +33,9 @@ def told(folder: Path, module: str = "telling.told") -> str:
 
 
 def package(folder: Path) -> Path:
+    """A folder with our packages and one more."""
+    for ours in ("injector", "services"):
+        (folder / ours).symlink_to(ROOT / ours)
     (folder / "telling").mkdir()
     (folder / "telling" / "__init__.py").touch()
     (folder / "telling" / "told.py").write_text(TELLING)
@@ -52,6 +58,39 @@ def test_a_file_beside_our_packages_changes_nothing(tmp_path: Path) -> None:
     for number in range(500):
         (folder / f"a_recording_{number}").touch()
     assert told(folder) == before
+
+
+def test_all_that_python_would_find_beside_our_packages_is_found(tmp_path: Path) -> None:
+    """In an installation that is all that they need."""
+    folder = package(tmp_path)
+    (folder / "single.py").touch()
+    (folder / "namespace").mkdir()
+    (folder / "namespace" / "part.py").touch()
+    shutil.copy(_struct.__file__, folder / f"extension{EXTENSION_SUFFIXES[0]}")
+    (folder / "another-1.dist-info").mkdir()
+    (folder / "another-1.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: another\nVersion: 1\n"
+    )
+    imports = (
+        "from importlib.metadata import version\n"
+        "from importlib.util import find_spec\n"
+        "import namespace.part, single, telling\n"
+        "print(*(one.__file__ for one in (namespace.part, single, telling)))\n"
+        "print(find_spec('extension').origin, version('another'), find_spec('nowhere'))\n"
+    )
+    (folder / "telling" / "imports.py").write_text(imports)
+    found = [folder / "namespace" / "part.py", folder / "single.py", folder / "telling" / "__init__.py"]
+    assert told(folder, "telling.imports").splitlines() == [
+        " ".join(map(str, found)),
+        f"{folder / 'extension'}{EXTENSION_SUFFIXES[0]} 1 None",
+    ]
+
+
+def test_a_file_beside_our_packages_takes_no_place_in_the_standard_library(tmp_path: Path) -> None:
+    folder = package(tmp_path)
+    (folder / "statistics.py").write_text("raise RuntimeError('not the standard library')\n")
+    (folder / "telling" / "counts.py").write_text("import statistics\nprint(statistics.mean([1, 3]))\n")
+    assert told(folder, "telling.counts") == "2\n"
 
 
 def test_one_that_had_to_compile_begins_again_with_the_same_memory(tmp_path: Path) -> None:
