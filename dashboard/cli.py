@@ -159,7 +159,7 @@ def demo(store: str, as_json: bool, svg: Path | None) -> None:
 @zenfi.command()
 @as_json
 def doctor(as_json: bool) -> None:
-    """Check what this machine allows: tracing, timers, sockets, processors."""
+    """Check what this machine allows (tracing, timers, sockets, processors), and fly once."""
     findings = examine()
     if as_json:
         for finding in findings:

@@ -7,19 +7,24 @@ import platform
 import subprocess
 import sys
 import tempfile
+from contextlib import closing
 from pathlib import Path
 
+from deploy.forkserver import ForkServer, ForkServerError
+from deploy.mission import fly
 from deploy.scratch import SOCKET_PATH_LIMIT, mission_folder
+from deploy.supervisor import InfrastructureError
 from injector import pristine
 from injector.preflight import Finding
 from injector.preflight import check as injector_findings
+from services.bus.mission import MissionSpec
 from services.bus.session import Meeting, open_session
 from sim.opengl import backend
 
 
 def examine() -> list[Finding]:
     """Every check, in the order in which a mission needs them."""
-    return [_python(), _processors(), _folder(), _bus(), _rgb(), *injector_findings(), _pids()]
+    return [_python(), _processors(), _folder(), _bus(), _rgb(), *injector_findings(), _pids(), _flight()]
 
 
 def _python() -> Finding:
@@ -70,3 +75,16 @@ def _pids() -> Finding:
             "pid namespaces are for root with CAP_SYS_ADMIN and CAP_SYS_PTRACE, or within user namespaces"
         )
     return Finding(line, ok=True, remedy="")
+
+
+def _flight() -> Finding:
+    """The processes of a flight import what this one does not; the first time, they compile it."""
+    remedy = (
+        "standard error says why; where a module is missing or broken, install ZenFI in a new environment"
+    )
+    try:
+        with closing(ForkServer()) as server:
+            result = fly(MissionSpec(), server).outcome.result
+    except (ForkServerError, InfrastructureError, OSError, ValueError) as error:
+        return Finding(f"a flight in Sparse: {error}", ok=False, remedy=remedy)
+    return Finding(f"a flight in Sparse: {result}", result == "success", remedy)

@@ -74,6 +74,7 @@ class ForkServer:
         except ConnectionResetError:  # it ended before it had read what it is to import
             started = b""
         if not started:
+            self.close()
             raise ForkServerError("the fork server did not start")
         self.fixed_pids = bool(json.loads(started)["fixed_pids"])
         """Whether the nodes' pids are the same in every flight (:mod:`injector.own_pids`)."""

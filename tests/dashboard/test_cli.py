@@ -165,3 +165,15 @@ def test_doctor_tells_what_the_machine_allows() -> None:
     checks = [json.loads(line) for line in answer.stdout.splitlines()]
     assert len(checks) >= 5
     assert (answer.returncode == 0) == all(check["ok"] for check in checks)
+
+
+def test_doctor_finds_that_nothing_can_fly(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where only the processes of a flight lack what they import."""
+    (tmp_path / "ompl").mkdir()
+    (tmp_path / "ompl" / "__init__.py").write_text("raise ImportError('ompl is broken')\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    answer = zenfi("doctor", "--json")
+    amiss = [one for one in map(json.loads, answer.stdout.splitlines()) if not one["ok"]]
+    assert answer.returncode == 1
+    assert [one["check"] for one in amiss] == ["a flight in Sparse: the fork server did not start"]
+    assert "install" in amiss[0]["remedy"]
