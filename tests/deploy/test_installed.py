@@ -1,0 +1,103 @@
+"""ZenFI as pip installs it: a wheel, in the site-packages in which all that it needs lies too."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tomllib
+import venv
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+
+from deploy.forkserver import ForkServer
+from deploy.mission import fly
+from services.bus.mission import MissionSpec
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PACKAGES = [name.rstrip("*") for name in PROJECT["tool"]["setuptools"]["packages"]["find"]["include"]]
+PIP = ("-m", "pip", "--disable-pip-version-check", "--quiet")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, built from a copy: a build leaves files beside what it builds."""
+    copy, wheels = tmp_path_factory.mktemp("copy"), tmp_path_factory.mktemp("wheels")
+    for file in ("pyproject.toml", "README.md"):
+        shutil.copy(ROOT / file, copy)
+    for name in PACKAGES:
+        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
+    build = ("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", wheels, copy)
+    subprocess.run([sys.executable, *PIP, *build], check=True)
+    (built,) = wheels.iterdir()
+    return built
+
+
+@pytest.fixture(scope="module")
+def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A new environment with the wheel, and with links to what this one has but for ZenFI."""
+    folder = tmp_path_factory.mktemp("environment")
+    venv.create(folder, symlinks=True)
+    packages = site_packages(folder)
+    for entry in Path(sysconfig.get_path("purelib")).iterdir():
+        if entry.name not in (*PACKAGES, "__pycache__") and not entry.name.startswith(
+            ("__editable__", "zenfi-")
+        ):
+            (packages / entry.name).symlink_to(entry)
+    install = ("install", "--no-deps", "--no-index", "--no-compile", wheel)
+    subprocess.run([folder / "bin" / "python", *PIP, *install], check=True)
+    # As packages do that were made for older versions of Python.
+    (packages / "dataclasses.py").write_text("raise ImportError('this is not the standard library')\n")
+    return folder
+
+
+def site_packages(environment: Path) -> Path:
+    return Path(sysconfig.get_path("purelib", "venv", {"base": str(environment)}))
+
+
+def share_what_numba_compiled(environment: Path) -> None:
+    """That takes a minute. It counts for a source of the same size and time."""
+    for cached in ROOT.glob("*/**/__pycache__/*.nb?"):
+        folder = cached.parent.relative_to(ROOT)
+        if folder.parts[0] in PACKAGES:
+            (site_packages(environment) / folder).mkdir(exist_ok=True)
+            shutil.copy(cached, site_packages(environment) / folder)
+    for installed in (
+        source for name in PACKAGES for source in (site_packages(environment) / name).rglob("*.py")
+    ):
+        shutil.copystat(ROOT / installed.relative_to(site_packages(environment)), installed)
+
+
+def test_the_wheel_holds_every_file_of_the_product(wheel: Path) -> None:
+    packed = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
+    files = (file for name in PACKAGES for file in (ROOT / name).rglob("*") if file.is_file())
+    assert packed == {str(file.relative_to(ROOT)) for file in files if file.parent.name != "__pycache__"}
+
+
+def test_a_flight_from_the_wheel_is_that_from_the_checkout(
+    environment: Path, server: ForkServer, tmp_path: Path
+) -> None:
+    here = fly(MissionSpec(world="sparse", seed=7), server).outcome
+    share_what_numba_compiled(environment)
+    surroundings = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
+    def answer(*command: str) -> str:
+        program = environment / "bin" / command[0]
+        return subprocess.run(
+            [program, *command[1:]],
+            cwd=tmp_path,
+            env=surroundings,
+            stdout=subprocess.PIPE,
+            text=True,
+            check=True,
+        ).stdout
+
+    where = answer("python", "-c", "import services, sim; print(services.__file__, sim.__file__)").split()
+    assert all(Path(file).is_relative_to(site_packages(environment)) for file in where)
+    there = json.loads(answer("zenfi", "fly", "--world", "sparse", "--seed", "7", "--json"))
+    assert here.result == there["result"] == "success"
+    assert here.digest == there["digest"]
