@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pydantic import Field
 
 from deploy.recorder import Recorder
+from services.bus.arrays import rotated, wxyz, xyz
 from services.bus.horizon import Stamped
 from services.bus.messages import decode
 from services.bus.model import Strict
@@ -22,7 +23,7 @@ class Present(Strict):
     twin: bool = Field(default=False, description="of the golden twin, which is flown first")
     position_m: tuple[float, float, float]
     orientation: tuple[float, float, float, float] = Field(description="quaternion (w, x, y, z)")
-    velocity_m_s: tuple[float, float, float]
+    velocity_m_s: tuple[float, float, float] = Field(description="world frame")
     command: tuple[float, float, float, float] | None = Field(
         default=None, description="last flight command: vx, vy, vz (m/s), yaw rate (rad/s)"
     )
@@ -77,9 +78,9 @@ def _told(
     odometry: Stamped, mission: Stamped | None, command: Stamped | None, *, twin: bool
 ) -> Present | None:
     told = decode(odometry.payload, TOPICS["odometry"].type)
-    pose, speed = told.pose.pose, told.twist.twist.linear
-    at, turned = pose.position, pose.orientation
-    numbers = (at.x, at.y, at.z, turned.w, turned.x, turned.y, turned.z, speed.x, speed.y, speed.z)
+    at, turned = told.pose.pose.position, told.pose.pose.orientation
+    vx, vy, vz = rotated(xyz(told.twist.twist.linear), wxyz(turned)).tolist()
+    numbers = (at.x, at.y, at.z, turned.w, turned.x, turned.y, turned.z, vx, vy, vz)
     if not all(map(math.isfinite, numbers)):
         return None
     qof = decode(mission.payload, TOPICS["mission"].type).qof if mission is not None else None

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from services.bus.arrays import point, quaternion, vector
+from services.bus.arrays import inverse, point, quaternion, rotated, vector
 from services.bus.messages import (
     CameraInfo,
     Goal,
@@ -31,9 +31,11 @@ _EXACT = np.zeros(36)
 
 
 def odometry(header: Header, vehicle: Vehicle, drift: Drift) -> Odometry:
-    """Pose in the world; linear velocity in the world frame, angular velocity in the body frame."""
-    pose = Pose(position=point(vehicle.position + drift.offset), orientation=quaternion(vehicle.quaternion))
-    twist = Twist(linear=vector(vehicle.velocity), angular=vector(vehicle.body_rates))
+    """Pose in the world frame, twist in the body frame: REP 105, nav_msgs/Odometry."""
+    attitude = vehicle.quaternion
+    pose = Pose(position=point(vehicle.position + drift.offset), orientation=quaternion(attitude))
+    linear = rotated(vehicle.velocity, inverse(attitude))
+    twist = Twist(linear=vector(linear), angular=vector(vehicle.body_rates))
     return Odometry(
         header=header,
         child_frame_id="body",

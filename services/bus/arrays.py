@@ -46,6 +46,23 @@ def wxyz(message: Quaternion) -> Floats:
     return np.array([message.w, message.x, message.y, message.z])
 
 
+def rotated(vector: Floats, rotation: Floats) -> Floats:
+    """``vector`` (3,) turned by a unit quaternion (w, x, y, z).
+
+    By a vehicle's attitude: from its body frame to the world frame; by the :func:`inverse`, back.
+    """
+    w, x, y, z = rotation.tolist()
+    a, b, c = vector.tolist()
+    # Twice the cross product of the quaternion's vector part with the vector: v + w t + (x, y, z) x t.
+    i, j, k = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    return np.array([a + w * i + y * k - z * j, b + w * j + z * i - x * k, c + w * k + x * j - y * i])
+
+
+def inverse(rotation: Floats) -> Floats:
+    """The unit quaternion (w, x, y, z) that turns back."""
+    return rotation * (1.0, -1.0, -1.0, -1.0)
+
+
 class State(NamedTuple):
     """The vehicle's state in the world frame: m, m/s, rad."""
 
@@ -61,24 +78,24 @@ FASTEST_M_S = 100.0
 
 
 def state(message: Odometry) -> State:
-    """What odometry says; its linear velocity is in the world frame.
+    """What odometry says, in the world frame; the message has its twist in the body frame.
 
     :raises MalformedMessageError: if it is not finite, out of this world or its quaternion no rotation.
     """
     pose = message.pose.pose
     w, x, y, z = attitude = wxyz(pose.orientation)
-    position, velocity = xyz(pose.position), xyz(message.twist.twist.linear)
+    position, body_velocity = xyz(pose.position), xyz(message.twist.twist.linear)
     # A comparison with NaN is false.
     sound = (
         np.abs(position).max() <= FARTHEST_M
-        and np.abs(velocity).max() <= FASTEST_M_S
+        and np.abs(body_velocity).max() <= FASTEST_M_S
         and np.abs(attitude).max() < 2.0
         and abs(w * w + x * x + y * y + z * z - 1.0) < 0.01
     )
     if not sound:
-        raise MalformedMessageError(f"odometry: {position} m, {velocity} m/s, attitude {attitude}")
+        raise MalformedMessageError(f"odometry: {position} m, {body_velocity} m/s, attitude {attitude}")
     yaw = atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
-    return State(position, velocity, attitude, yaw)
+    return State(position, rotated(body_velocity, attitude), attitude, yaw)
 
 
 def sound_goal(message: Any) -> Any:

@@ -5,25 +5,30 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.records import Chunk, ChunkIndex
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
+from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
 
 from dashboard.records import open_run
 from deploy import display
 from deploy.forkserver import ForkServer
 from deploy.pairing import Pairs
 from deploy.settling import TYPES
-from services.bus.topics import RECORDED
+from services.bus.topics import RECORDED, TICK_NS
 from tests.conftest import wait_until
 from tests.dashboard.recorded import FAULTY, GOLDEN, flights
 
 __all__ = ["flights"]
 
+TICK_S = TICK_NS / 1e9
 RERUN = Path(sys.executable).parent / "rerun"
 NATIVE = {
     "cloud": "Points3D:positions",
@@ -105,6 +110,33 @@ def test_others_decode_every_message(flights: dict[str, Path]) -> None:
         told = [bag.deserialize(raw, one.msgtype) for one, _, raw in bag.messages()]
         assert {one.topic for one in bag.connections} == {f"/{topic}" for topic in ours.messages}
     assert len(told) == count
+
+
+def test_odometry_tells_its_twist_in_the_body_frame(flights: dict[str, Path]) -> None:
+    """As nav_msgs/Odometry has it: in child_frame_id. Both parts are the derivative of the pose."""
+    with AnyReader([flights["golden"]]) as bag:
+        connections = [one for one in bag.connections if one.topic == "/odometry"]
+        told: list[Any] = [bag.deserialize(raw, one.msgtype) for one, _, raw in bag.messages(connections)]
+    assert {(one.header.frame_id, one.child_frame_id) for one in told} == {("map", "body")}
+    poses, twists = [one.pose.pose for one in told], [one.twist.twist for one in told]
+    attitudes = Rotation.from_quat([(q.x, q.y, q.z, q.w) for q in (pose.orientation for pose in poses)])
+    positions = np.array([(p.x, p.y, p.z) for p in (pose.position for pose in poses)])
+    linear = np.array([(v.x, v.y, v.z) for v in (twist.linear for twist in twists)])
+    angular = np.array([(w.x, w.y, w.z) for w in (twist.angular for twist in twists)])
+    moved = np.diff(positions, axis=0) / TICK_S - middles(attitudes.apply(linear))
+    turned = (attitudes[:-1].inv() * attitudes[1:]).as_rotvec() / TICK_S - middles(angular)
+    assert rms(np.diff(positions, axis=0) / TICK_S) > 2.0, "it flies"
+    assert rms(moved) < 0.01
+    assert rms(turned) < 0.05
+
+
+def middles(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The mean of each two neighbouring rows."""
+    return np.asarray((rows[1:] + rows[:-1]) / 2)
+
+
+def rms(vectors: NDArray[np.float64]) -> float:
+    return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
 def test_rerun_draws_it(flights: dict[str, Path], tmp_path: Path) -> None:

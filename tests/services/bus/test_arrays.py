@@ -4,16 +4,21 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from services.bus.arrays import (
     FARTHEST_M,
     FASTEST_M_S,
     POINTS_MAX,
     Plan,
+    inverse,
     plan,
     plan_message,
     quaternion,
+    rotated,
     sound_goal,
     state,
     vector,
@@ -74,6 +79,20 @@ def test_a_position_or_velocity_out_of_this_world_is_refused(axis: int, nonsense
     with pytest.raises(MalformedMessageError, match="odometry"):
         state(odometry(velocity=bad))
     assert FASTEST_M_S < FARTHEST_M
+
+
+SPEEDS = st.tuples(*[st.floats(-10, 10)] * 3).map(np.array)
+ROTATIONS = st.tuples(*[st.floats(-1, 1)] * 4).map(np.array).filter(lambda q: np.linalg.norm(q) > 0.1)
+
+
+@given(SPEEDS, ROTATIONS)
+def test_the_twist_of_odometry_is_in_the_body_frame_and_the_state_in_the_world_frame(
+    body: NDArray[np.float64], rotation: NDArray[np.float64]
+) -> None:
+    attitude = rotation / np.linalg.norm(rotation)
+    world = state(odometry(velocity=body, attitude=attitude)).velocity
+    assert world == pytest.approx(Rotation.from_quat(attitude[[1, 2, 3, 0]]).apply(body), abs=1e-12)
+    assert rotated(world, inverse(attitude)) == pytest.approx(body, abs=1e-12)
 
 
 @pytest.mark.parametrize("attitude", [[0.0, 0, 0, 0], [math.nan, 0, 0, 0], [1.0, 1, 0, 0], [1e200, 0, 0, 0]])
