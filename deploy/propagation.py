@@ -172,7 +172,8 @@ def _vector(values: Callable[[Any], Floats]) -> Callable[[Any, Any, Any], float]
 
 def _pixels(one: Any, other: Any, _goal: Any) -> float:
     images = [
-        np.nan_to_num(message.data.view(np.float32), nan=FAR_M, posinf=FAR_M) for message in (one, other)
+        np.nan_to_num(message.data.view(np.float32), nan=FAR_M, posinf=FAR_M, neginf=0.0)
+        for message in (one, other)
     ]
     return float(np.abs(images[0] - images[1]).mean(dtype=np.float64))
 

@@ -38,8 +38,11 @@ class DepthCamera:
     def render(self, vehicle: Vehicle) -> NDArray[np.float32]:
         """Depth along the optical axis in m, float32 (height, width); obstacles and ground are seen.
 
-        As REP 118 has it, +inf means nothing within range. The noise is that of the vehicle's time: the
-        same moment of the same flight gives the same image.
+        As REP 118 has it, +inf means nothing within range and -inf something too close to be measured.
+        What lies beyond the range is not seen, however noise would have it: a standard deviation that grows
+        with the square of depth is that of a reading within the range. What lies within and is read beyond
+        counts as nothing within range, what is read at or below zero as too close. The noise is that of the
+        vehicle's time: the same moment of the same flight gives the same image.
         """
         mujoco.mj_multiRay(
             vehicle.model,
@@ -55,13 +58,15 @@ class DepthCamera:
             len(self._depth),
             self._farthest_m,
         )
-        depth = self._depth
-        missed = self._geom < 0
+        # MuJoCo cuts off bodies, not hits: the ground is hit at any distance.
+        seen = (self._geom >= 0) & (self._depth <= self.range_m)
+        read = self._depth
         if self._noise_per_m:
+            # Drawn for every pixel, so that none depends on what the others see.
             rng = generator(self._seed, "depth noise", vehicle.steps)
-            depth = depth + rng.standard_normal(len(depth), np.float32) * (self._noise_per_m * depth**2)
+            read = read + rng.standard_normal(len(read), np.float32) * (self._noise_per_m * read**2)
         if self._quantisation_m:
-            depth = np.rint(depth / self._quantisation_m) * self._quantisation_m
-        missed |= (depth > self.range_m) | (depth <= 0.0)
-        image = np.where(missed, np.inf, depth).astype(np.float32)
+            read = np.rint(read / self._quantisation_m) * self._quantisation_m
+        near = np.where(read > 0.0, read, -np.inf)
+        image = np.where(seen & (read <= self.range_m), near, np.inf).astype(np.float32)
         return image.reshape(self.height, self.width)

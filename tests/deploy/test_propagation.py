@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import services
@@ -14,7 +15,7 @@ from deploy.forkserver import ForkServer
 from deploy.mission import Flight, fly
 from deploy.propagation import FAULT, growth, propagation
 from services.bus.horizon import Stamped
-from services.bus.messages import decode, encode
+from services.bus.messages import Image, decode, encode, header
 from services.bus.mission import FaultSpec, Limits, MissionSpec, Trigger
 from services.bus.propagation import Propagation
 from services.bus.states import members
@@ -126,6 +127,18 @@ def test_deviations_are_what_the_messages_say(turned: Flight, twin: Flight) -> N
     deviations = [point.deviation or 0.0 for point in grown]
     assert odometry.largest == max(deviations) > 0.0
     assert odometry.last == deviations[-1]
+
+
+@pytest.mark.parametrize(("depth_m", "apart_m"), [(-math.inf, 2.0), (math.inf, 18.0), (2.5, 0.5)])
+def test_a_pixel_that_is_too_close_counts_as_no_distance(depth_m: float, apart_m: float) -> None:
+    one, other = ({"depth": [Stamped(0, 0, image(depth))], "goal": []} for depth in (depth_m, 2.0))
+    assert [point.deviation for point in growth("depth", one, other)] == [pytest.approx(apart_m)]
+
+
+def image(depth_m: float) -> bytes:
+    """A depth image of one pixel."""
+    pixel = np.array([depth_m], np.float32).view(np.uint8)
+    return encode(Image(header(0, "camera"), 1, 1, "32FC1", 0, 4, pixel), TOPICS["depth"].type)
 
 
 def test_a_flight_is_the_same_as_itself(twin: Flight) -> None:

@@ -1,7 +1,8 @@
 from __future__ import annotations
 
-from math import degrees, tan
+from math import cos, degrees, radians, sin, tan
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -133,3 +134,44 @@ def test_noise_grows_with_the_square_of_depth_and_repeats_with_the_seed() -> Non
     before = DepthCamera(noisy, 3).render(far)
     far.advance(np.zeros(4), 1)
     assert not np.array_equal(DepthCamera(noisy, 3).render(far), before), "each frame has noise of its own"
+
+
+def pitch(vehicle: Vehicle, degrees_up: float) -> None:
+    half = radians(degrees_up) / 2
+    vehicle.data.qpos[3:] = (cos(half), 0.0, -sin(half), 0.0)
+    mujoco.mj_forward(vehicle.model, vehicle.data)
+
+
+def test_a_hit_beyond_the_range_never_comes_back_as_a_near_one() -> None:
+    """Noise grows with the square of depth: that of the ground at 465 m is larger than the range."""
+    vehicle = Vehicle(world_with(start=(0.0, 0.0, 3.0)), AIRSIM)
+    phantoms: list[float] = []
+    far = 0
+    for seed, degrees_up in enumerate(np.linspace(-8.0, 8.0, 800)):
+        pitch(vehicle, degrees_up)
+        true = CAMERA.render(vehicle).astype(np.float64)
+        seen = DepthCamera(Camera(), seed).render(vehicle).astype(np.float64)
+        within, returns = np.isfinite(true), np.isfinite(seen)
+        phantoms += seen[returns & ~within].tolist()
+        near = returns & within
+        assert (np.abs(seen[near] - true[near]) < 6 * 0.001 * true[near] ** 2 + 0.001).all()
+        far += bool((~within & np.isfinite(camera(range_m=200.0).render(vehicle))).any())
+    assert not phantoms, f"{len(phantoms)} returns of what lies beyond the range, nearest {min(phantoms)} m"
+    assert far > 700, "the ground is in view up to the horizon"
+
+
+def test_noise_at_the_ends_of_the_range() -> None:
+    """What is measured beyond the range is no return; what is measured at or below zero is too close."""
+    ahead = Vehicle(world_with((8.0, -90.0, 0.0, 9.0, 90.0, 80.0), start=(0.0, 0.0, 40.0)), AIRSIM)
+    ends = DepthCamera(Camera(noise_per_m=0.1, range_m=8.1, quantisation_m=0.0), 0).render(ahead)
+    measured = DepthCamera(Camera(noise_per_m=0.1, range_m=200.0, quantisation_m=0.0), 0).render(ahead)
+    within = (measured > 0.0) & (measured <= 8.1)
+    assert np.array_equal(ends[within], measured[within]), "the range changes no other pixel's noise"
+    assert np.isposinf(ends[measured > 8.1]).all()
+    assert np.isneginf(ends[np.isneginf(measured)]).all()
+    assert min(np.isposinf(ends).sum(), np.isneginf(ends).sum(), within.sum()) > 100
+
+
+def test_what_is_nearer_than_half_a_step_is_too_close_and_not_free() -> None:
+    wall = Vehicle(world_with((0.4, -90.0, 0.0, 9.0, 90.0, 80.0), start=(0.0, 0.0, 40.0)), AIRSIM)
+    assert np.isneginf(camera(quantisation_m=1.0).render(wall)).all()
