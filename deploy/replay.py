@@ -35,14 +35,9 @@ def replay(first: Outcome, server: ForkServer) -> Replay:
     :raises BadSpecError: if it does not say at which instruction its fault struck.
     :raises InfrastructureError: if we failed.
     """
-    record = first.injection
-    if record is None:
-        raise BadSpecError("nothing to replay: no fault was injected in this flight")
-    if first.spec.clock == "realtime":
-        raise BadSpecError("nothing to replay: a flight in real time does not repeat")
-    if not record.state and (record.trigger is None or record.trigger.site is None):
-        message = f"nothing to replay: the fault is {record.status} and tells no site (mode {record.mode})"
-        raise BadSpecError(message)
+    record, reason = first.injection, refusal(first)
+    if record is None or reason:
+        raise BadSpecError(reason)
     again = fly(first.spec, server).outcome
     repeated = again.injection
     if repeated is not None and repeated.status != record.status:
@@ -51,6 +46,18 @@ def replay(first: Outcome, server: ForkServer) -> Replay:
         )
         return Replay(answer=answer, differences=[repeated.reason or f"the fault is {repeated.status}"])
     return compare(first, again)
+
+
+def refusal(first: Outcome) -> str:
+    """Why a flight cannot be replayed; empty if it can."""
+    record = first.injection
+    if record is None:
+        return "nothing to replay: no fault was injected in this flight"
+    if first.spec.clock == "realtime":
+        return "nothing to replay: a flight in real time does not repeat"
+    if not record.state and (record.trigger is None or record.trigger.site is None):
+        return f"nothing to replay: the fault is {record.status} and tells no site (mode {record.mode})"
+    return ""
 
 
 def compare(first: Outcome, again: Outcome) -> Replay:
