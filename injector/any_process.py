@@ -14,21 +14,26 @@ from pydantic import Field
 
 from injector.acts import ACTS
 from injector.elf import place
-from injector.foreign import RefusedError, name_of, not_permitted
+from injector.foreign import RefusedError, changed, name_of, not_permitted
 from injector.gentle import GentleTracees, notice_for
 from injector.hunt import Aim, Found, Hunt
 from injector.inject import Strike
-from injector.process import Maps, Process
+from injector.process import ChangedError, Maps, Process, VanishedError
 from injector.ptrace import NotPermittedError, wait_until
 from services.bus.mission import FaultSpec
 from services.bus.model import Strict
 from services.bus.outcome import InjectionRecord
 
+ENDED = "the process ended before the fault"
+
 
 class Aftermath(Strict):
-    """What became of the process within ``watched_s`` of wall time after the fault."""
+    """What became of the process within ``watched_s`` of wall time after the fault.
 
-    result: Literal["lives", "killed", "exited"]
+    ``ended``: it did, and nobody told us how.
+    """
+
+    result: Literal["lives", "killed", "exited", "ended"]
     signal: str = Field(default="", description="that killed it")
     exit_status: int | None = None
     after_s: float | None = Field(default=None, description="wall time from the fault to its end")
@@ -78,9 +83,12 @@ def inject_into(
     raises, nobody is traced.
 
     :raises RefusedError: if the kernel forbids it, or no thread can be stopped.
+    :raises VanishedError: if the process ended before we had hold of it. Later, that is in the record.
     :raises TriggerError, FreezeError: as :func:`injector.session.inject` does.
     """
     notice = notice_for(aim.tids)
+    if notice is None and not process.alive:
+        raise VanishedError(ENDED)
     if notice is None:
         raise RefusedError(f"process {process.pid} blocks the signals by which a thread is stopped there")
     told = {"process": name_of(process.pid), "executable": _executable(process.pid)}
@@ -90,7 +98,10 @@ def inject_into(
             tracees.seize([process.pid])
         except NotPermittedError as error:
             raise RefusedError(not_permitted(process.pid)) from error
-        process.verify()
+        try:
+            process.verify()
+        except ChangedError as error:
+            raise RefusedError(changed(process.pid)) from error
         one = Hunt(
             tracees,
             process,
@@ -102,7 +113,7 @@ def inject_into(
         strike = one.run()
         maps, thread = process.maps(), name_of(one.found.tid)
         tracees.resume_all()
-        aftermath = _watch(tracees, process.pid, watch_s)
+        aftermath = _watch(tracees, process, watch_s)
     record = _record(process.pid, maps, fault, one.found, strike).model_copy(update={"node": node})
     if dry_run and strike.bits:
         record = record.model_copy(update={"reason": "dry run: all was done but the flip"})
@@ -118,6 +129,21 @@ def inject_into(
         **drawn,
         injection=record.model_copy(update=pause),
         aftermath=aftermath,
+    )
+
+
+def never_struck(pid: int, name: str, fault: FaultSpec, *, node: str, dry_run: bool) -> ProcessInjection:
+    """What is told of a fault whose process ended before we had hold of it."""
+    return ProcessInjection(
+        process=name,
+        executable="",
+        thread="",
+        seed=fault.seed,
+        dry_run=dry_run,
+        injection=InjectionRecord(
+            status="failed", reason=ENDED, node=node, kernel="", invocation=0, model=fault.model, pid=pid
+        ),
+        aftermath=Aftermath(result="ended", watched_s=0.0),
     )
 
 
@@ -144,8 +170,9 @@ def _record(pid: int, maps: Maps, fault: FaultSpec, found: Found, strike: Strike
     return record.model_copy(update=asdict(place(pid, maps, strike.instruction.address)))
 
 
-def _watch(tracees: GentleTracees, pid: int, watch_s: float) -> Aftermath:
-    """Let all run, and see what becomes of the process. We hear of its end only as its tracer."""
+def _watch(tracees: GentleTracees, process: Process, watch_s: float) -> Aftermath:
+    """Let all run, and see what becomes of the process. We hear how it ends only as its tracer."""
+    pid = process.pid
     begin = time.monotonic()
 
     def ended() -> bool | None:
@@ -156,7 +183,7 @@ def _watch(tracees: GentleTracees, pid: int, watch_s: float) -> Aftermath:
     end = tracees.ends.get(pid)
     watched = {"watched_s": watch_s}
     if end is None:
-        return Aftermath(result="lives", **watched)
+        return Aftermath(result="lives" if process.alive else "ended", **watched)
     after = {"after_s": round(time.monotonic() - begin, 4)}
     if end.signal:
         return Aftermath(result="killed", signal=signal.Signals(end.signal).name, **after, **watched)

@@ -6,7 +6,16 @@ import os
 from pathlib import Path
 from pwd import getpwuid
 
-from injector.process import Identity, IdentityError, Process, VanishedError, has_ended, threads, tracer_of
+from injector.process import (
+    ChangedError,
+    Identity,
+    IdentityError,
+    Process,
+    VanishedError,
+    has_ended,
+    threads,
+    tracer_of,
+)
 from services.bus.process_stat import process_stat
 
 _YAMA = Path("/proc/sys/kernel/yama/ptrace_scope")
@@ -23,25 +32,14 @@ def admit(pid: int, kind: type[Process] = Process) -> Process:
 
     :raises RefusedError: if it cannot be injected into.
     """
-    _exists(pid)
-    if pid == os.getpid():
-        raise RefusedError(f"process {pid} is this injector itself")
-    if process_stat(pid).flags & _PF_KTHREAD:
-        raise RefusedError(f"process {pid} ({name_of(pid)}) is a thread of the kernel: it runs no user code")
-    state = process_stat(pid).state
-    if state in "ZX":
-        raise RefusedError(f"process {pid} ({name_of(pid)}) has ended: it is a zombie")
-    tracer = tracer_of(pid)
-    if tracer:
-        message = f"process {pid} is traced by process {tracer} ({name_of(tracer)}): end that first"
-        raise RefusedError(message)
-    if state == "T":
-        raise RefusedError(f"process {pid} is stopped: let it go on first: kill -CONT {pid}")
     try:
+        _admissible(pid)
         process = kind(Identity.of(pid))
-    except VanishedError as error:
+    except (VanishedError, FileNotFoundError, ProcessLookupError) as error:  # also if it ends meanwhile
         raise RefusedError(f"there is no process {pid}") from error
-    except IdentityError as error:
+    except ChangedError as error:
+        raise RefusedError(changed(pid)) from error
+    except (IdentityError, PermissionError) as error:
         raise RefusedError(not_permitted(pid)) from error
     try:
         _is_64_bit(pid)
@@ -49,6 +47,23 @@ def admit(pid: int, kind: type[Process] = Process) -> Process:
         process.close()
         raise
     return process
+
+
+def _admissible(pid: int) -> None:
+    _exists(pid)
+    if pid == os.getpid():
+        raise RefusedError(f"process {pid} is this injector itself")
+    stat = process_stat(pid)
+    if stat.flags & _PF_KTHREAD:
+        raise RefusedError(f"process {pid} ({name_of(pid)}) is a thread of the kernel: it runs no user code")
+    if stat.state in "ZX":
+        raise RefusedError(f"process {pid} ({name_of(pid)}) has ended: it is a zombie")
+    tracer = tracer_of(pid)
+    if tracer:
+        message = f"process {pid} is traced by process {tracer} ({name_of(tracer)}): end that first"
+        raise RefusedError(message)
+    if stat.state == "T":
+        raise RefusedError(f"process {pid} is stopped: let it go on first: kill -CONT {pid}")
 
 
 def _exists(pid: int) -> None:
@@ -65,12 +80,19 @@ def _is_64_bit(pid: int) -> None:
     try:
         with Path(f"/proc/{pid}/exe").open("rb") as file:
             head = file.read(_ELF_CLASS_AT + 1)
-    except OSError as error:
+    except PermissionError as error:
         raise RefusedError(not_permitted(pid)) from error
+    except OSError as error:
+        raise RefusedError(f"there is no process {pid}") from error
     if head[:4] != b"\x7fELF" or head[_ELF_CLASS_AT] != _ELF_64:
         raise RefusedError(
             f"process {pid} ({name_of(pid)}) is 32-bit: only 64-bit processes can be injected into"
         )
+
+
+def changed(pid: int) -> str:
+    """What to say of a process that became another one while it was looked at: one line."""
+    return f"process {pid} ({name_of(pid)}) has become another program or user meanwhile: try again"
 
 
 def not_permitted(pid: int) -> str:

@@ -107,7 +107,7 @@ class Hunt:
         except MissedError as error:
             return error.strike
         except (GoneError, AddressError):
-            return Strike("failed", "the process died before the fault")
+            return Strike("failed", "the process ended before the fault")
         except TargetError as error:
             return Strike("failed", f"before the fault: {error}")
 
@@ -218,6 +218,8 @@ class Hunt:
             try:
                 self._run_for(thread, wait_ns, None)
             except MissedError as error:
+                if error.strike.status != "not_reached":  # it ended
+                    raise
                 name = Path(self.aim.code[0].path).name
                 limit = f"in {self.aim.limit_s:g} s"
                 reason = f"thread {thread.tid} was seen executing {looks} times {limit}, never in {name}"

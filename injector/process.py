@@ -30,6 +30,10 @@ class VanishedError(IdentityError):
     """The announced process is gone, whether or not its pid is in use again."""
 
 
+class ChangedError(IdentityError):
+    """The process of that pid is another one than was announced, or has become another one."""
+
+
 class CodeError(Exception):
     """There is no code to read at an address."""
 
@@ -124,7 +128,7 @@ class Process:
         """Get hold of a process.
 
         :raises VanishedError: if it is gone.
-        :raises IdentityError: if another one has its pid, or it is not as expected.
+        :raises ChangedError: if another one has its pid, or it is not as expected.
         """
         self.pid = expected.pid
         self._expected = expected
@@ -155,7 +159,7 @@ class Process:
         """Compare the process with what was expected.
 
         :raises VanishedError: if it is gone.
-        :raises IdentityError: naming the first thing that differs.
+        :raises ChangedError: naming the first thing that differs.
         """
         found = Identity.of(self.pid)
         if not self.alive or found.start_ticks != self._expected.start_ticks:
@@ -165,7 +169,7 @@ class Process:
             is_, was = getattr(found, field.name), getattr(self._expected, field.name)
             if is_ != was:
                 message = f"process {self.pid} is not the announced one: {field.name} is {is_}, not {was}"
-                raise IdentityError(message)
+                raise ChangedError(message)
 
     def maps(self) -> Maps:
         """Its memory map; empty if it is gone."""

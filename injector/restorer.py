@@ -32,7 +32,11 @@ class RestoredProcess(Process):
 
     def __init__(self, expected: Identity) -> None:
         super().__init__(expected)
-        memory = self._mem()
+        try:
+            memory = self._mem()
+        except OSError:
+            super().close()
+            raise
         self._restorer = subprocess.Popen(  # noqa: S603 - our own program
             [sys.executable, "-I", "-S", "-c", _PROGRAM, str(memory)],
             stdin=subprocess.PIPE,

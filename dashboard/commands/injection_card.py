@@ -16,6 +16,8 @@ _FLOATS = {32: (4, "<f"), 64: (8, "<d")}
 def card(one: ProcessInjection) -> str:
     """A line for each thing to know."""
     record = one.injection
+    if not record.tid:
+        return f"{record.status}: process {record.pid} ({one.process}): {record.reason}"
     status = "dry run" if one.dry_run and record.bits else record.status
     head = f"{status}: process {record.pid} ({one.process}), thread {record.tid} ({one.thread})"
     return "\n".join([head, *(f"  {name:{_WIDTH}}{text}" for name, text in _lines(one, record))])
@@ -82,5 +84,7 @@ def _moment(one: ProcessInjection, record: InjectionRecord) -> str:
 def _end(end: Aftermath) -> str:
     if end.result == "lives":
         return f"it lives, {end.watched_s:g} s later" if end.watched_s else "not watched"
+    if end.result == "ended":
+        return "it ended, nobody knows how"
     how = f"killed by {end.signal}" if end.result == "killed" else f"exited with status {end.exit_status}"
     return f"{how} after {end.after_s:g} s"

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from dashboard.commands.fault import fault_fields
 from deploy.check import BadSpecError, check_machine
 from deploy.compose.announced import claim_of, the_stack, verify
-from injector.any_process import ProcessInjection, inject_into
-from injector.foreign import RefusedError, admit, check_thread
+from deploy.supervisor import InfrastructureError
+from injector.any_process import ENDED, ProcessInjection, inject_into, never_struck
+from injector.foreign import RefusedError, admit, check_thread, name_of
+from injector.freeze import FreezeError
 from injector.hunt import Aim
-from injector.process import Process, threads
+from injector.process import Process, VanishedError, threads
 from injector.restorer import RestoredProcess
 from injector.symbols import SymbolError, demangled, function_at, module_code
 from injector.trigger import TriggerError
@@ -53,9 +55,10 @@ class Asked:
 
 
 def strike(asked: Asked) -> ProcessInjection:
-    """Do it.
+    """Do it. A process that ends while we get hold of it is told of as one that ends before the fault.
 
     :raises BadSpecError: if the process, the function or the fault cannot be had.
+    :raises InfrastructureError: if one of its threads does not stop.
     """
     stack = the_stack(asked.stack) if asked.node is not None else None
     claim = claim_of(stack, asked.node) if stack is not None and asked.node is not None else None
@@ -66,20 +69,32 @@ def strike(asked: Asked) -> ProcessInjection:
         with admit(pid, RestoredProcess if restored else Process) as process:
             if claim is not None and stack is not None:
                 verify(stack, claim)  # now that its pid cannot change hands
-            aim, function = _aim(asked, process)
-            return inject_into(
-                process,
-                aim,
-                fault,
-                rng.generator(asked.seed, "any process"),
-                node=asked.node or "",
-                function=function,
-                library=asked.module or "",
-                dry_run=asked.dry_run,
-                watch_s=asked.watch_s,
-            )
+            name = name_of(pid)
+            try:
+                return _strike(asked, process, fault)
+            except (VanishedError, RefusedError, SymbolError, TriggerError) as error:
+                if process.alive and not isinstance(error, VanishedError):
+                    raise
+            return never_struck(pid, name, fault, node=asked.node or "", dry_run=asked.dry_run)
     except (RefusedError, SymbolError, TriggerError) as error:
         raise BadSpecError(str(error)) from error
+    except FreezeError as error:
+        raise InfrastructureError(str(error)) from error
+
+
+def _strike(asked: Asked, process: Process, fault: FaultSpec) -> ProcessInjection:
+    aim, function = _aim(asked, process)
+    return inject_into(
+        process,
+        aim,
+        fault,
+        rng.generator(asked.seed, "any process"),
+        node=asked.node or "",
+        function=function,
+        library=asked.module or "",
+        dry_run=asked.dry_run,
+        watch_s=asked.watch_s,
+    )
 
 
 def _fault(asked: Asked, pid: int) -> FaultSpec:
@@ -101,9 +116,11 @@ def _aim(asked: Asked, process: Process) -> tuple[Aim, str]:
     if asked.thread is not None:
         check_thread(process.pid, asked.thread)
     maps = process.maps()
+    if next(maps.code(), None) is None:  # one that is about to end has no memory any more
+        raise VanishedError(ENDED)
     symbol, module = asked.symbol, asked.module
     entry, mangled = function_at(process.pid, maps, symbol, module or "") if symbol else (0, "")
-    every = tuple(threads(process.pid)) if symbol else (process.pid,)
+    every = (tuple(threads(process.pid)) if symbol else ()) or (process.pid,)
     aim = Aim(
         tids=(asked.thread,) if asked.thread else every,
         entry=entry,

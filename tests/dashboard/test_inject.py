@@ -6,16 +6,20 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from dashboard.commands import striking
 from injector import foreign
-from injector.foreign import not_permitted
+from injector.any_process import inject_into
+from injector.foreign import admit, name_of, not_permitted
 from injector.freeze import Tracees
-from injector.process import threads, tracer_of
+from injector.process import Process, threads, tracer_of
 from tests.conftest import PATIENCE_S, wait_until
 from tests.dashboard import command
 from tests.dashboard.command import ZENFI, Answer, zenfi
@@ -107,6 +111,109 @@ def test_pids_that_are_no_targets() -> None:
         process.send_signal(signal.SIGSTOP)
         wait_until(lambda: state(process.pid) == "T")
         assert f"kill -CONT {process.pid}" in refusal("--pid", process.pid)
+
+
+@pytest.fixture(params=["admitted", "aimed at"])
+def ended_once(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every target ends as soon as it is admitted, or when it is known where to strike it: a certain race."""
+
+    def end(pid: int) -> None:
+        os.kill(pid, signal.SIGKILL)
+        wait_until(lambda: state(pid) == "Z")
+
+    def admit_and_end(pid: int, kind: type[Process]) -> Process:
+        process = admit(pid, kind)
+        end(pid)
+        return process
+
+    def end_and_inject(process: Process, *details: Any, **more: Any) -> Any:
+        end(process.pid)
+        return inject_into(process, *details, **more)
+
+    if request.param == "admitted":
+        monkeypatch.setattr(striking, "admit", admit_and_end)
+    else:
+        monkeypatch.setattr(striking, "inject_into", end_and_inject)
+
+
+@pytest.mark.usefixtures("ended_once")
+@pytest.mark.parametrize(
+    "options", [(), ("--symbol", "main"), ("--module", "libc"), ("--fault", "model=opcode")]
+)
+def test_one_that_ends_while_it_is_got_hold_of_is_not_injected(
+    options: tuple[str, ...], mapper: Path
+) -> None:
+    with running_program(mapper) as process:
+        answer = inject("--pid", process.pid, *options)
+        assert (answer.returncode, answer.stderr) == (1, "")
+        assert answer.stdout == (
+            f"failed: process {process.pid} (mapper): the process ended before the fault\n"
+        )
+
+
+@pytest.mark.usefixtures("ended_once")
+def test_the_record_of_one_that_ended_says_so() -> None:
+    with sleeper() as process:
+        answer = inject("--pid", process.pid, "--json")
+        record = json.loads(answer.stdout)
+        assert answer.returncode == 1
+        assert record["injection"]["status"] == "failed"
+        assert record["injection"]["reason"] == "the process ended before the fault"
+        assert record["aftermath"]["result"] == "ended"
+
+
+@pytest.mark.parametrize("options", [(), ("--module", "libc"), ("--symbol", "abort")])
+def test_one_that_is_killed_before_the_fault_is_told_with_its_end(options: tuple[str, ...]) -> None:
+    with sleeper() as process:
+
+        def kill_once_traced() -> None:
+            wait_until(lambda: tracer_of(process.pid) != 0)
+            process.kill()
+
+        killer = threading.Thread(target=kill_once_traced)
+        killer.start()
+        answer = inject("--pid", process.pid, *options, "--json")
+        killer.join()
+        record = json.loads(answer.stdout)
+        assert answer.returncode == 1
+        assert record["injection"]["status"] == "failed"
+        assert "ended" in record["injection"]["reason"]
+        assert record["aftermath"]["result"] in ("killed", "ended")  # killed while it was being seized
+
+
+def test_one_that_becomes_another_program_meanwhile_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    shell = ["/bin/sh", "-c", "read line; exec /bin/sleep 1000"]
+    with subprocess.Popen(shell, stdin=subprocess.PIPE) as process:
+
+        def admit_and_let_go(pid: int, kind: type[Process]) -> Process:
+            admitted = admit(pid, kind)
+            assert process.stdin is not None
+            process.stdin.write(b"\n")
+            process.stdin.flush()
+            wait_until(lambda: name_of(pid) == "sleep")
+            return admitted
+
+        monkeypatch.setattr(striking, "admit", admit_and_let_go)
+        try:
+            said = refusal("--pid", process.pid)
+            assert said == (
+                f"process {process.pid} (sleep) has become another program or user meanwhile: try again"
+            )
+            assert process.poll() is None
+            assert tracer_of(process.pid) == 0
+        finally:
+            process.kill()
+
+
+def test_processes_that_end_in_no_time_are_told_of_in_one_way_or_the_other() -> None:
+    for number in range(12):
+        with subprocess.Popen(["/bin/sleep", f"{number / 1000}"]) as process:
+            answer = inject("--pid", process.pid, "--cpu-s", "0", "--limit-s", "1", "--watch-s", "0.1")
+            assert answer.returncode in (0, 1, 2)
+            if answer.returncode == 2:
+                assert answer.stderr.startswith(f"zenfi: process {process.pid} ") or (
+                    answer.stderr == f"zenfi: there is no process {process.pid}\n"
+                )
 
 
 def test_whoever_is_traced_already_is_refused_with_the_tracer() -> None:
