@@ -1,7 +1,9 @@
 """Forking a process that stands, from outside: the copy stands where it stands, before the same instruction.
 
 The tracee is made to enter ``clone`` and gets its registers back. Nothing of the fork is seen by the
-program, and its interpreter does not tidy up after it: process and copy go on alike. x86-64 only.
+program, and its interpreter does not tidy up after it: process and copy go on alike. Signals that are under
+way to it, such as the mark at the end of its call, wait meanwhile; as with any fork, they are not the
+copy's. x86-64 only.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from contextlib import suppress
 
 from injector import ptrace
 from injector.freeze import Tracees
-from injector.ptrace import NT_PRSTATUS, Report
+from injector.ptrace import NT_PRSTATUS, GoneError, Report
 from injector.thread import Thread
 from injector.x86_64 import entering, outside_of_calls
 from services.bus.libc import CLONE
@@ -23,11 +25,14 @@ _SYSCALL = b"\x0f\x05"
 _SET_SIZE = 512
 _FUNCTION_SIZE = 64
 
+# A step's trap must come through: blocked, the kernel would take away what the program does at one.
+_HELD_BACK = ~(1 << signal.SIGTRAP - 1) & 0xFFFF_FFFF_FFFF_FFFF
+
 _libc = ctypes.CDLL(None)
 
 
 class CopyError(Exception):
-    """A process could not be copied: one line."""
+    """A process could not be copied, and is gone or no longer what it was: one line."""
 
 
 class Copies:
@@ -44,14 +49,28 @@ class Copies:
     def copy(self, of: Thread) -> Thread:
         """A copy of the process whose only thread this is; both stand where it stands.
 
-        :raises CopyError: if the kernel makes none.
+        :raises CopyError: if the kernel makes none, or somebody else stops or kills it.
         """
         tid = of.tid
+        try:
+            made = self._clone(tid)
+        except GoneError as error:
+            message = f"process {tid} was not copied but killed"
+            raise CopyError(message) from error
+        of.report = Report("step")
+        self._tracees.threads[made] = Thread(made, made, Report("interrupted"))
+        return self._tracees.threads[made]
+
+    def _clone(self, tid: int) -> int:
+        blocked = ptrace.blocked_signals(tid)
         own = outside_of_calls(ptrace.read_registers(tid, NT_PRSTATUS, _SET_SIZE))
         call = entering(own, self._instruction, CLONE, _CLONE_PARENT | signal.SIGCHLD, 0, 0, 0, 0)
         ptrace.write_registers(tid, NT_PRSTATUS, call)
+        ptrace.block_signals(tid, _HELD_BACK)
         ptrace.resume(tid)
         report = ptrace.await_report(tid)
+        if report.kind == "gone":
+            del self._tracees.threads[tid]  # reaped: its number may be somebody else's by now
         if report.kind != "new_process":
             message = f"process {tid} was not copied but reported {report.kind} (signal {report.signal})"
             raise CopyError(message)
@@ -61,9 +80,8 @@ class Copies:
         ptrace.await_report(made)
         for one in (tid, made):
             ptrace.write_registers(one, NT_PRSTATUS, own)
-        of.report = Report("step")
-        self._tracees.threads[made] = Thread(made, made, Report("interrupted"))
-        return self._tracees.threads[made]
+            ptrace.block_signals(one, blocked)
+        return made
 
     def end(self, copy: Thread) -> None:
         """Kill a copy and reap it; nothing happens if it has ended."""

@@ -22,6 +22,7 @@ _PEEKUSER, _POKEUSER, _CONT, _SINGLESTEP, _DETACH, _SYSCALL = 3, 6, 7, 9, 17, 24
 _SEIZE, _INTERRUPT, _LISTEN = 0x4206, 0x4207, 0x4208
 _GETEVENTMSG, _GETSIGINFO, _PEEKSIGINFO = 0x4201, 0x4202, 0x4209
 _GETREGSET, _SETREGSET, _GET_SYSCALL_INFO = 0x4204, 0x4205, 0x420E
+_GETSIGMASK, _SETSIGMASK, _SIGSET_SIZE = 0x420A, 0x420B, 8
 _WORD = struct.Struct("=Q")
 _GENERAL_SIZE = 512
 _PROGRAM_COUNTER_AT = {"x86_64": 128, "aarch64": 256}[platform.machine()]  # in NT_PRSTATUS
@@ -231,6 +232,19 @@ def _registers(request: int, tid: int, kind: int, content: bytearray) -> int:
     return vector[1]
 
 
+def blocked_signals(tid: int) -> int:
+    """The signals that a standing tracee blocks: bit N - 1 is signal N."""
+    mask = ctypes.c_uint64()
+    _call(_GETSIGMASK, tid, _SIGSET_SIZE, ctypes.addressof(mask))
+    return mask.value
+
+
+def block_signals(tid: int, mask: int) -> None:
+    """Have a standing tracee block these signals and no others; what is under way to it stays under way."""
+    content = ctypes.c_uint64(mask)
+    _call(_SETSIGMASK, tid, _SIGSET_SIZE, ctypes.addressof(content))
+
+
 def trace(tid: int, most: int, until: int = 0) -> tuple[list[int], Report | None]:
     """Let a standing tracee execute up to ``most`` instructions: where each lies, and what ended them early.
 
@@ -337,9 +351,23 @@ def _signal_report(tid: int, number: int) -> Report:
 
 def signal_code(tid: int) -> int:
     """Why a tracee that stands at a signal gets it: ``si_code`` of sigaction(2)."""
+    return int.from_bytes(_siginfo(tid)[8:12], "little", signed=True)
+
+
+def sent_by_another(tid: int) -> bool:
+    """Whether another process has sent the signal at which a tracee of one thread stands.
+
+    Nobody has sent one whose ``si_code`` is above 0 (SI_USER); of the others ``si_pid`` says who.
+    """
+    siginfo = _siginfo(tid)
+    code = int.from_bytes(siginfo[8:12], "little", signed=True)
+    return code <= 0 and int.from_bytes(siginfo[16:20], "little") != tid
+
+
+def _siginfo(tid: int) -> bytes:
     siginfo = ctypes.create_string_buffer(_SIGINFO_SIZE)
     _call(_GETSIGINFO, tid, data=ctypes.addressof(siginfo))
-    return int.from_bytes(siginfo.raw[8:12], "little", signed=True)
+    return siginfo.raw
 
 
 def hear_of_children() -> set[signal.Signals]:

@@ -11,17 +11,17 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Literal
 
 from injector import elf, ptrace
 from injector.clock import Clock
-from injector.copies import Copies
+from injector.copies import Copies, CopyError
 from injector.freeze import Tracees
 from injector.inject import Strike
-from injector.process import Identity, Maps, Process, sleeps
+from injector.process import Identity, Maps, Process, VanishedError, sleeps
 from injector.ptrace import GoneError, Report, wait_until
 from injector.strike import strike
 from injector.subject import MARK, Subject
@@ -49,6 +49,9 @@ They need not be in a row. Who waits for the interpreter's lock, which it holds 
 
 REHEARSALS = 5
 """Good calls by which the thread time of a call is known."""
+
+LOST = Strike("failed", "what was to be struck was lost before the fault")
+"""Somebody else killed or stopped it."""
 
 _LOOK_S = 0.01
 _BEGIN_S = 20.0
@@ -115,23 +118,45 @@ class Strikes:
     ) -> Iterator[tuple[int, StudyRun | None]]:
         """Strike a copy at each of the places: number and what came of it, None where it was refused.
 
+        Where somebody else kills or stops what is to be struck, the place is told of as not injected. If no
+        copy could be made there, one goes through the call anew for the rest of the leg.
+
         :raises ClockError, CopyError: if we cannot.
         """
-        for place, there in Sweep(self._tracees, self._copies, self._root, clock).visit(leg):
-            if there is None:
-                yield place.index, None
-            else:
-                yield place.index, self._strike(place, there, clock, fault, seed)
+        left = {place.index: place for place in leg}
+        while left:
+            with closing(self._sweep(clock, list(left.values()), fault, seed)) as struck:
+                for index, run in struck:
+                    del left[index]
+                    yield index, run
 
-    def _strike(self, place: Place, there: Thread, clock: Clock, fault: FaultSpec, seed: int) -> StudyRun:
-        aimed = fault.model_copy(update={"seed": place.index, "trigger": self._trigger(place, clock)})
+    def _sweep(
+        self, clock: Clock, leg: Sequence[Place], fault: FaultSpec, seed: int
+    ) -> Generator[tuple[int, StudyRun | None]]:
+        """Strike at each of the places, up to the first at which no copy can be made."""
+        with closing(Sweep(self._tracees, self._copies, self._root, clock).visit(leg)) as places:
+            for place, there in places:
+                if there is None:
+                    yield place.index, None
+                    continue
+                aimed = fault.model_copy(update={"seed": place.index, "trigger": self._trigger(place, clock)})
+                try:
+                    copy = self._copies.copy(there)
+                except CopyError:
+                    yield place.index, self._told(place, aimed, LOST, None)
+                    return
+                yield place.index, self._strike(place, copy, aimed, seed)
+
+    def _strike(self, place: Place, copy: Thread, aimed: FaultSpec, seed: int) -> StudyRun:
         draw = rng.generator(seed, f"study {self._kernel}", place.index)
-        before = set(self._tracees.threads)
-        copy = self._copies.copy(there)
+        before = set(self._tracees.threads) - {copy.tid}
         self._subject.forget()
         try:
-            with Process(Identity.of(copy.pid)) as process:
-                found = strike(self._tracees, copy, process, aimed, draw)
+            try:
+                with Process(Identity.of(copy.pid)) as process:
+                    found = strike(self._tracees, copy, process, aimed, draw)
+            except VanishedError:
+                found = LOST
             if found is None:
                 found = Strike("not_activated", "the place is a system call")
             end = self._finish(copy) if found.bits else None

@@ -6,7 +6,7 @@ To bring each copy to its place from the beginning of the call would cost far mo
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack
 
 import numpy as np
@@ -73,7 +73,7 @@ class Sweep:
         self._tracees, self._copies, self._root, self._clock = tracees, copies, root, clock
         self._anchors = frozenset(one.address for one in clock.anchors)
 
-    def visit(self, leg: Sequence[Place]) -> Iterator[tuple[Place, Thread | None]]:
+    def visit(self, leg: Sequence[Place]) -> Generator[tuple[Place, Thread | None]]:
         """Each place, and the thread that stands there, to be copied; None if the place is refused.
 
         :raises ClockError: if the call goes another way than when it was surveyed.
@@ -128,9 +128,14 @@ class Sweep:
         """From a pass to the steps after it, until another one is due."""
         taken, over = 0, False
         for place in places:
-            if not over and place.step > taken:
+            while not over and place.step > taken:
                 steps, report = ptrace.walk(thread.tid, place.step - taken, self._anchors)
                 taken += steps
                 thread.report = report or Report("step")
-                over = report is not None or ptrace.program_counter(thread.tid) in self._anchors
+                if report is not None and report.kind == "signal" and ptrace.sent_by_another(thread.tid):
+                    # It is no part of the call, and it came before the last of the steps. A copy that was
+                    # made between the call for its thread's number and that for the mark sends it to us.
+                    taken -= 1
+                else:
+                    over = report is not None or ptrace.program_counter(thread.tid) in self._anchors
             yield place, None if over else thread

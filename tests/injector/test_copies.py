@@ -1,12 +1,18 @@
 """A copy that is made from outside stands where its origin stands, and neither notices."""
 
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from injector import ptrace
+from injector.copies import CopyError
 from injector.inject import registers_of
+from injector.ptrace import Report
+from injector.thread import Thread
 from tests.conftest import alive, wait_until
 from tests.injector.forked_calls import standing
 from tests.injector.test_sites import KERNELS
@@ -41,6 +47,45 @@ def test_what_happens_to_a_copy_does_not_happen_to_its_origin(tmp_path: Path) ->
         registers.commit()
         assert one.result(copy) is None
         assert one.result(one.copies.copy(one.root)) == right
+
+
+def reported(thread: Thread) -> Report:
+    """What a thread that goes on has to report first."""
+    ptrace.resume(thread.tid)
+    return ptrace.await_report(thread.tid)
+
+
+def test_a_copy_is_made_where_the_mark_of_the_calls_end_is_under_way(tmp_path: Path) -> None:
+    with standing(tmp_path, KERNELS["integers"]) as one:
+        walker = one.copies.copy(one.root)
+        for _ in range(len(one.trace()) - 1):
+            assert one.tracees.step(walker) == "stepped"
+        results = [one.result(one.copies.copy(walker)) for _ in range(2)]
+        assert results == [one.result(one.copies.copy(one.root))] * 2
+        assert one.tracees.step(walker) == "ended"  # the mark is still to come
+
+
+def test_signals_from_others_wait_until_the_copy_is_made(tmp_path: Path) -> None:
+    with standing(tmp_path, KERNELS["integers"]) as one:
+        walker = one.copies.copy(one.root)
+        sent = {signal.SIGUSR1, signal.SIGURG, signal.SIGTERM, signal.SIGRTMIN}
+        for number in sent:
+            os.kill(walker.pid, number)
+        copy = one.copies.copy(walker)
+        assert {reported(walker).signal for _ in sent} == sent
+        assert one.result(copy) == one.result(one.copies.copy(one.root))
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_who_is_killed_or_stopped_by_others_is_not_copied(number: signal.Signals, tmp_path: Path) -> None:
+    with standing(tmp_path, KERNELS["integers"]) as one:
+        walker = one.copies.copy(one.root)
+        os.kill(walker.pid, number)
+        with pytest.raises(CopyError, match=f"process {walker.pid} was not copied"):
+            one.copies.copy(walker)
+        one.copies.end(walker)
+        assert not alive(walker.pid)
+        assert one.result(one.copies.copy(one.root)) is not None
 
 
 KILLED = """

@@ -1,0 +1,92 @@
+"""Copies of a kernel are struck at every place of its call, whatever others do to them meanwhile."""
+
+import faulthandler
+import gc
+import os
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+from injector.clock import Clock
+from injector.study import LOST, Strikes, StudyRun, striking
+from injector.subject import Subject
+from injector.sweep import BEGINNING, Place
+from services.bus.mission import FaultSpec
+from services.kernels import KERNELS
+from tests.conftest import descendants, wait_until
+from tests.injector.programs import state
+
+pytestmark = pytest.mark.usefixtures("may_inject")
+
+FAULT = FaultSpec(target="pid")
+
+
+@pytest.fixture
+def strikes() -> Iterator[Strikes]:
+    """On copies of the controller."""
+    crashes_are_told = faulthandler.is_enabled()
+    faulthandler.disable()  # by pytest, at length, also of copies
+    try:
+        subject = Subject(KERNELS["pid"])
+        pid, go = subject.fork()
+        with striking("pid", subject, pid, go) as one:
+            yield one
+        os.close(go)
+    finally:
+        gc.unfreeze()
+        gc.enable()
+        if crashes_are_told:
+            faulthandler.enable()
+
+
+def places(*steps: int) -> list[Place]:
+    return [Place(index=number, anchor=BEGINNING, hit=1, step=step) for number, step in enumerate(steps)]
+
+
+def struck(strikes: Strikes, clock: Clock, leg: list[Place]) -> dict[int, StudyRun | None]:
+    return dict(strikes.run(clock, leg, FAULT, 8))
+
+
+def told(run: StudyRun | None) -> tuple[str, ...]:
+    """What came of it; values that were struck there can be the number of a thread."""
+    assert run is not None
+    return run.result, run.cause, run.injection.status, run.injection.instruction
+
+
+def test_the_last_places_of_a_call_are_struck(strikes: Strikes) -> None:
+    """The mark of the call's end is under way to the very last one."""
+    trace, whole = strikes.surveyor.begin()
+    assert whole
+    leg = places(*range(len(trace) - 8, len(trace)), len(trace) - 1)
+    runs = struck(strikes, Clock(reach=len(trace)), leg)
+    assert sorted(runs) == [place.index for place in leg]
+    last = [runs[index] for index in (7, 8)]
+    assert [run is not None and run.injection.status for run in last] == ["injected", "injected"]
+    # What is struck at a place does not depend on what else is struck in the call.
+    for place in leg:
+        (alone,) = struck(strikes, Clock(reach=len(trace)), [place]).values()
+        assert told(alone) == told(runs[place.index])
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_sample_that_is_lost_is_counted_and_the_others_are_made(
+    strikes: Strikes, number: signal.Signals
+) -> None:
+    clock, leg = Clock(reach=9000), places(10, 500, 500, 7000, 8000)
+    alone = struck(strikes, clock, leg)
+    others = set(descendants(os.getpid()))
+    found = {}
+    runs = strikes.run(clock, leg, FAULT, 8)
+    for index, run in runs:
+        found[index] = run
+        if index == 1:  # who goes through the call stands where the next copy is to be made
+            (walker,) = set(descendants(os.getpid())) - others
+            os.kill(walker, number)
+            if number == signal.SIGKILL:
+                wait_until(lambda pid=walker: state(pid) in "Z")  # type: ignore[misc]
+    lost = found.pop(2)
+    assert lost is not None
+    assert (lost.result, lost.cause) == ("not_injected", LOST.reason)
+    assert found == {index: run for index, run in alone.items() if index != 2}
+    assert set(descendants(os.getpid())) == others
