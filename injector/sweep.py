@@ -132,6 +132,9 @@ class Sweep:
                 steps, report = ptrace.walk(thread.tid, place.step - taken, self._anchors)
                 taken += steps
                 thread.report = report or Report("step")
+                if report is not None and report.kind == "gone":  # somebody killed it: no copy can be made
+                    del self._tracees.threads[thread.tid]
+                    break
                 if report is not None and report.kind == "signal" and ptrace.sent_by_another(thread.tid):
                     # It is no part of the call, and it came before the last of the steps. A copy that was
                     # made between the call for its thread's number and that for the mark sends it to us.

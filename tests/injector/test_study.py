@@ -69,10 +69,11 @@ def test_the_last_places_of_a_call_are_struck(strikes: Strikes) -> None:
         assert told(alone) == told(runs[place.index])
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize(("number", "after"), [(signal.SIGKILL, 1), (signal.SIGSTOP, 1), (signal.SIGKILL, 2)])
 def test_a_sample_that_is_lost_is_counted_and_the_others_are_made(
-    strikes: Strikes, number: signal.Signals
+    strikes: Strikes, number: signal.Signals, after: int
 ) -> None:
+    """Lost where the next copy is to be made, or on the way there."""
     clock, leg = Clock(reach=9000), places(10, 500, 500, 7000, 8000)
     alone = struck(strikes, clock, leg)
     others = set(descendants(os.getpid()))
@@ -80,13 +81,13 @@ def test_a_sample_that_is_lost_is_counted_and_the_others_are_made(
     runs = strikes.run(clock, leg, FAULT, 8)
     for index, run in runs:
         found[index] = run
-        if index == 1:  # who goes through the call stands where the next copy is to be made
+        if index == after:  # who goes through the call stands at the place
             (walker,) = set(descendants(os.getpid())) - others
             os.kill(walker, number)
             if number == signal.SIGKILL:
                 wait_until(lambda pid=walker: state(pid) in "Z")  # type: ignore[misc]
-    lost = found.pop(2)
+    lost = found.pop(after + 1)
     assert lost is not None
     assert (lost.result, lost.cause) == ("not_injected", LOST.reason)
-    assert found == {index: run for index, run in alone.items() if index != 2}
+    assert found == {index: run for index, run in alone.items() if index != after + 1}
     assert set(descendants(os.getpid())) == others
