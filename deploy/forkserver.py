@@ -23,6 +23,8 @@ from services.bus.node import NodeSetup
 from services.bus.session import Meeting
 from services.bus.vitals import Vitals
 
+_GONE = "the fork server is gone"
+
 
 class ForkServerError(Exception):
     """The fork server did not start or is gone."""
@@ -84,6 +86,17 @@ class ForkServer:
         """The server's pid, whose descendants all nodes are."""
         return self._process.pid
 
+    def is_lost(self, within_s: float = 0.0) -> bool:
+        """Whether nobody takes orders for nodes, or none for sidecars, any more, now or ``within_s``."""
+        return bool(self._loss().poll(within_s * 1000))
+
+    def _loss(self) -> select.poll:
+        """What tells that the last reader of either kind of orders is gone (poll(2): POLLERR)."""
+        poll = select.poll()
+        for orders in (self._orders, self._side_orders):
+            poll.register(orders, 0)
+        return poll
+
     def spawn(self, setup: NodeSetup, meeting: Meeting, vitals: Vitals, log: int, tracer_pid: int) -> Forked:
         """Fork a process. ``log`` takes its output, ``tracer_pid`` (0: nobody) may trace it."""
         sidecar = self.stack[setup.name].sidecar
@@ -96,17 +109,24 @@ class ForkServer:
         try:
             os.write(self._side_orders if sidecar else self._orders, b"+")
             socket.send_fds(self.socket, [json.dumps(order).encode()], [vitals.descriptor, log])
-        except BrokenPipeError as error:
-            raise ForkServerError("the fork server is gone") from error
-        while (forked := self._receive()) is None:
-            pass
-        return forked
+        except (BrokenPipeError, ConnectionResetError) as error:
+            raise ForkServerError(_GONE) from error
+        said = self._loss()
+        said.register(self.socket, select.POLLIN)
+        while said.poll() and _ready(self.socket.fileno()):
+            forked = self._receive()
+            if forked is not None:
+                return forked
+        raise ForkServerError(_GONE)
 
     def _receive(self) -> Forked | None:
         """Take in a keeper's message: what it has forked, or its process's end."""
-        data, descriptors, _, _ = socket.recv_fds(self.socket, MESSAGE_SIZE, 2)
+        try:
+            data, descriptors, _, _ = socket.recv_fds(self.socket, MESSAGE_SIZE, 2)
+        except ConnectionResetError as error:  # it had not read all that it was told
+            raise ForkServerError(_GONE) from error
         if not data:
-            raise ForkServerError("the fork server is gone")
+            raise ForkServerError(_GONE)
         message = json.loads(data)
         pid = int(message["pid"])
         if "status" in message:

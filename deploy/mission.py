@@ -141,6 +141,8 @@ class _Mission:
                     self._until_ended()
                     self._answered_for()
                     self._supervisor.end(GRACE_S, lambda: self._take_in(0.001))
+                    if self._server.is_lost():  # and has taken with it what nodes had still to count
+                        raise InfrastructureError("the fork server was lost in mid flight")
                     self._pass_on(self._settling.rest(self._end_ns))
                     trace = self._recorder.trace(self._end_ns)
                     outcome = self._outcome(trace)

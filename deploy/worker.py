@@ -29,6 +29,9 @@ HEARTBEAT_S = 2.0
 WATCHED_S = 0.25
 """Between two lines of a worker that is watched."""
 
+LAST_BREATH_S = 1.0
+"""Wall time in which the end of a fork server is noticed by which a flight has failed."""
+
 
 class _Window:
     """Looks into the flight that is under way."""
@@ -94,7 +97,10 @@ def main() -> None:
             window.begin(order.spec)
             answer = _fly(pairs, order)
             window.end()
-            _say(answer)
+            if answer.error and server.is_lost(LAST_BREATH_S):
+                # No result: the run is taken back from who dies, and another worker has another server.
+                sys.exit(f"the fork server was lost: {answer.error}")
+            _say(answer.model_dump_json(by_alias=True))
     finally:
         ended.set()
         heart.join()
@@ -120,12 +126,11 @@ def _seen(window: _Window) -> str:
     return Answer(alive=True, present=window.look(), sight=window.see()).model_dump_json()
 
 
-def _fly(pairs: Pairs, order: Order) -> str:
+def _fly(pairs: Pairs, order: Order) -> Answer:
     try:
-        answer = Answer(outcome=pairs.fly(order.spec, order.record, order.about, order.live))
+        return Answer(outcome=pairs.fly(order.spec, order.record, order.about, order.live))
     except (InfrastructureError, ForkServerError, NothingToInjectError) as error:
-        answer = Answer(error=f"{type(error).__name__}: {error}")
-    return answer.model_dump_json(by_alias=True)
+        return Answer(error=f"{type(error).__name__}: {error}")
 
 
 if __name__ == "__main__":

@@ -4,16 +4,18 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from deploy.forkserver import ForkServer
+from deploy.forkserver import ForkServer, ForkServerError
 from deploy.mission import fly
+from deploy.mould import SIDE_SERVER
 from deploy.stack import STACK
 from deploy.supervisor import InfrastructureError
-from services.bus.mission import MissionSpec
+from services.bus.mission import FaultSpec, MissionSpec, Trigger
 from tests.conftest import alive, descendants, forked, node, wait_until
 from tests.deploy.mid_flight import fly_and
 from tests.deploy.test_mission import assert_nothing_is_left, load
@@ -53,6 +55,18 @@ def test_a_courier_that_dies_is_our_failure(server: ForkServer) -> None:
     wait_until(lambda: not forked(server.pid))
     assert fly(SPEC, server).outcome.result == "success"
     assert_nothing_is_left(server)
+
+
+@pytest.mark.parametrize("side", [False, True])
+def test_a_server_is_lost_with_either_of_its_processes(side: bool) -> None:  # noqa: FBT001 - a case
+    struck = SPEC.model_copy(update={"fault": FaultSpec(target="pid", trigger=Trigger(invocation=3))})
+    with closing(ForkServer()) as server:
+        assert not server.is_lost()
+        beside = next(pid for pid, name in descendants(server.pid).items() if name == SIDE_SERVER)
+        os.kill(beside if side else server.pid, signal.SIGKILL)
+        wait_until(server.is_lost)
+        with pytest.raises(ForkServerError, match="gone"):
+            fly(struck, server)
 
 
 _FLIER = """

@@ -1,5 +1,6 @@
 """Killed at any point, a campaign goes on: one result a run, the same as if nothing had happened."""
 
+import contextlib
 import json
 import os
 import signal
@@ -11,7 +12,8 @@ from pathlib import Path
 
 from dashboard.campaigns.records import Record
 from dashboard.campaigns.store import Store
-from tests.conftest import alive, descendants, wait_until
+from deploy.mould import SIDE_SERVER
+from tests.conftest import alive, descendants, folders, wait_until
 from tests.dashboard.command import ZENFI
 from tests.fixtures.postgresql import Server
 
@@ -67,6 +69,20 @@ def workers(scheduler: int) -> list[int]:
     return found
 
 
+def fork_servers(scheduler: int) -> list[int]:
+    """The processes of which a worker's nodes are forked, one a worker."""
+    found = []
+    for worker in workers(scheduler):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            found += map(int, Path(f"/proc/{worker}/task/{worker}/children").read_text().split())
+    return found
+
+
+def side_servers(scheduler: int) -> list[int]:
+    """Those of which sidecars are forked."""
+    return [pid for pid, name in descendants(scheduler).items() if name == SIDE_SERVER]
+
+
 def kill(pid: int) -> None:
     if alive(pid):
         os.kill(pid, signal.SIGKILL)
@@ -107,6 +123,28 @@ def test_kills_change_nothing_but_the_time_it_takes(tmp_path: Path) -> None:
     ours, theirs = records(hard), records(calm)
     assert [record.phase for record in ours] == ["done"] * RUNS
     assert [told(record) for record in ours] == [told(record) for record in theirs]
+
+
+def test_a_lost_fork_server_costs_no_run(tmp_path: Path) -> None:
+    calm, hard = tmp_path / "calm", tmp_path / "hard"
+    with zenfi(calm, "run", spec(tmp_path)) as command:
+        assert command.wait(PATIENCE_S) == 0
+
+    family: dict[int, str] = {}
+    with zenfi(hard, "run", spec(tmp_path)) as command:
+        for results, servers in ((2, fork_servers), (5, side_servers), (8, fork_servers), (11, side_servers)):
+            until(hard, results, command)
+            wait_until(lambda servers=servers: bool(servers(command.pid)), PATIENCE_S)
+            family |= descendants(command.pid)
+            kill(servers(command.pid)[0])
+        _, said = command.communicate(timeout=PATIENCE_S)
+        assert command.returncode == 0, said
+
+    ours, theirs = records(hard), records(calm)
+    assert [(record.phase, record.error) for record in ours] == [("done", "")] * RUNS
+    assert [told(record) for record in ours] == [told(record) for record in theirs]
+    wait_until(lambda: not any(map(alive, family)))
+    assert not [folder for pid in family for folder in folders(pid)]
 
 
 def told(record: Record) -> tuple[object, ...]:
