@@ -28,6 +28,9 @@ ANSWER_S = 60.0
 LOCKS = 0x7A656E66
 """First half of our advisory locks; the second is a campaign's number, 0 for changes of form."""
 
+_NUMERIC = 1700
+"""The type's number in the server's catalogue, pg_type."""
+
 _FULL = "53100"
 _LOST = ("08", "57P")
 """SQLSTATE: disk full; connection exceptions, the operator's intervention."""
@@ -108,6 +111,8 @@ class PostgresqlDatabase(Database):
         logging.getLogger("sqlalchemy.pool").addHandler(logging.NullHandler())
         # A campaign's runs come by the thousand: several rows a statement, not one.
         engine.dialect.use_insertmanyvalues_wo_returning = True
+        # Of integers it reckons means and sums as numeric, for which the driver has Decimal and SQLite floats.
+        sa.event.listen(engine, "connect", lambda one, _: one.register_in_adapter(_NUMERIC, float))
         sa.event.listen(
             engine, "checkout", lambda one, record, _: _ask_whether_there(engine.dialect, one, record.info)
         )

@@ -58,7 +58,7 @@ def test_a_courier_that_dies_is_our_failure(server: ForkServer) -> None:
 
 
 @pytest.mark.parametrize("side", [False, True])
-def test_a_server_is_lost_with_either_of_its_processes(side: bool) -> None:  # noqa: FBT001 - a case
+def test_a_server_is_lost_with_either_of_its_processes(side: bool) -> None:
     struck = SPEC.model_copy(update={"fault": FaultSpec(target="pid", trigger=Trigger(invocation=3))})
     with closing(ForkServer()) as server:
         assert not server.is_lost()

@@ -1,9 +1,11 @@
 """What a store on PostgreSQL promises beyond what every store does."""
 
+import json
 import ssl
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 import sqlalchemy as sa
@@ -16,9 +18,15 @@ from dashboard.campaigns.store import BusyError, Store
 from deploy.check import BadSpecError
 from services.bus.mission import MissionSpec
 from tests.dashboard.campaigns.test_store import SPEC, outcome
-from tests.dashboard.command import refusal
+from tests.dashboard.command import refusal, zenfi
 from tests.fixtures.postgresql import PASSWORD, Server
 
+SHORT = """
+name = "short"
+runs = 1
+mission = { limits = { mission_time_s = 0.6 } }
+arms = [{ name = "golden" }]
+"""
 KICK_OUT = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = 'zenfi'"
 
 
@@ -91,6 +99,24 @@ def test_seeds_use_all_of_their_32_bits(url: str) -> None:
         mission = MissionSpec(seed=2**32 - 3)
         campaign = store.create(CampaignSpec(name="x", runs=2, mission=mission, arms=(Arm(name="a"),)))
         assert [record.seed for record in store.records(campaign)] == [2**32 - 3, 2**32 - 2]
+
+
+def test_a_second_campaign_is_forecast_from_the_first(url: str, tmp_path: Path) -> None:
+    file = tmp_path / "short.toml"
+    file.write_text(SHORT)
+    for number in (1, 2):
+        answer = zenfi("campaign", "run", file, "--store", url, "--slots", 1, "--json")
+        assert answer.returncode == 0, answer.stderr
+        told = json.loads(answer.stdout.splitlines()[0])
+        assert (told["campaign"], told["forecast"]["measured"]) == (f"short-{number}", number == 2)
+
+
+def test_means_and_sums_are_no_decimals(url: str) -> None:
+    with closing(Store(url)) as store, store.reading() as connection:
+        for kind in (sa.SmallInteger, sa.Integer, sa.BigInteger, sa.Float):
+            for reckoned in (sa.func.avg, sa.func.sum):
+                value = connection.execute(sa.select(reckoned(sa.cast(3, kind)))).scalar_one()
+                assert (type(value) in (int, float), value) == (True, 3), (kind, reckoned)
 
 
 def test_the_words_of_a_dying_process_may_hold_anything(url: str) -> None:
