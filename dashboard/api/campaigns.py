@@ -9,6 +9,7 @@ from fastapi import APIRouter, Header, Query, Response
 from pydantic import Field, field_validator, model_validator
 
 from dashboard.api.problems import documented
+from dashboard.api.programs import refuse_others
 from dashboard.api.service import Found, Here, Service
 from dashboard.campaigns import steering
 from dashboard.campaigns.forecast import Forecast, forecast
@@ -76,12 +77,11 @@ class NewCampaign(Strict):
         return self
 
     def made(self) -> CampaignSpec:
-        """The specification, checked.
+        """The specification, yet to be :func:`admitted`.
 
-        :raises BadSpecError: if it cannot be flown.
+        :raises BadSpecError: if there is no such preset.
         """
         if self.spec is not None:
-            check_campaign(self.spec)
             return self.spec
         known = [one.name for one in presets()]
         if self.preset not in known:
@@ -106,11 +106,24 @@ def detail(here: Service, found: Campaign) -> CampaignDetail:
     return CampaignDetail(**stands.model_dump(), spec=found.spec, files=kept, trouble=trouble)
 
 
+def admitted(here: Service, spec: CampaignSpec) -> CampaignSpec:
+    """What somebody asks to be flown, checked.
+
+    :raises ForbiddenError: if it would run a program that the owner has not named.
+    :raises BadSpecError: if it cannot be flown.
+    """
+    refuse_others(here.programs, spec)  # first, as the check reads the programs' files
+    check_campaign(spec)
+    return spec
+
+
 def create(here: Service, spec: CampaignSpec, request: str | None, response: Response) -> Campaign:
     """Store a campaign to be flown; the one that ``request`` has made already, if it has.
 
+    :raises BadSpecError: if it is not :func:`admitted`.
     :raises RepeatedError: if that one is another.
     """
+    admitted(here, spec)
     try:
         found = here.store.create(spec, "fly", request)
     except RepeatedError:
@@ -144,7 +157,7 @@ def create_campaign(
 @router.post("/forecast", responses=documented(413))
 def forecast_campaign(here: Here, new: NewCampaign) -> Forecast:
     """What a campaign would take and could tell; nothing is stored."""
-    return forecast(new.made(), here.store, len(os.sched_getaffinity(0)))
+    return forecast(admitted(here, new.made()), here.store, len(os.sched_getaffinity(0)))
 
 
 @router.get("")

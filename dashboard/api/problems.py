@@ -13,6 +13,7 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field, ValidationError
 from starlette.exceptions import HTTPException
 
+from dashboard.api.programs import ForbiddenError
 from dashboard.campaigns.database import StoreError, StoreFullError
 from dashboard.campaigns.steering import ConflictError
 from dashboard.campaigns.store import BusyError, RepeatedError, UnknownCampaignError
@@ -52,6 +53,7 @@ class NotReadyError(Exception):
 
 
 _STATUS: dict[type[Exception], int] = {
+    ForbiddenError: 403,
     NotFoundError: 404,
     UnknownCampaignError: 404,
     ConflictError: 409,

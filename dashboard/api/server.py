@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import socket
+from collections.abc import Sequence
+from pathlib import Path
 from types import FrameType
 
 import uvicorn
@@ -12,6 +14,7 @@ from dashboard.api.app import make_app
 from dashboard.api.conductor import Conductor
 from dashboard.api.hub import Hub
 from dashboard.api.observing import log_to_stderr
+from dashboard.api.programs import named
 from dashboard.api.security import is_loopback, token_hash
 from dashboard.api.service import Service
 from dashboard.campaigns.store import Store
@@ -34,20 +37,23 @@ class _Server(uvicorn.Server):
         self.should_exit = True
 
 
-def serve(where: str, host: str, port: int, slots: int | None) -> None:
+def serve(where: str, host: str, port: int, slots: int | None, stacks: Sequence[Path] = ()) -> None:
     """Serve until SIGTERM or SIGINT; campaigns are then paused, and gone on with by the next life.
 
-    :raises BadSpecError: if the store or the address cannot be had.
+    Who asks may have the programs in the files ``stacks`` flown, and no others.
+
+    :raises BadSpecError: if the store or the address cannot be had, or a file is no stack.
     """
     from dashboard.web.site import mount  # noqa: PLC0415 - slow to import, and only a server has pages
 
     log_to_stderr()
+    programs = named(stacks)
     with contextlib.ExitStack() as stack:
         store = stack.enter_context(contextlib.closing(Store(where)))
         token = _token(store, host)
         listening = stack.enter_context(contextlib.closing(_listen(host, port)))
         hub = Hub()
-        service = Service(store, hub, Conductor(store, hub, slots))
+        service = Service(store, hub, Conductor(store, hub, slots), programs)
         app = make_app(service, token, loopback=is_loopback(host))
         mount(app, service)
         config = uvicorn.Config(

@@ -10,16 +10,18 @@ from starlette.requests import HTTPConnection
 
 from dashboard.api.conductor import Conductor
 from dashboard.api.hub import Hub
+from dashboard.api.programs import Programs
 from dashboard.campaigns.store import Campaign, Store
 
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """One life of the service."""
+    """One life of the service; ``programs`` are those that may be asked for."""
 
     store: Store
     hub: Hub
     conductor: Conductor
+    programs: Programs = frozenset()
 
 
 def _service(connection: HTTPConnection) -> Service:

@@ -111,7 +111,7 @@ class PostgresqlDatabase(Database):
         logging.getLogger("sqlalchemy.pool").addHandler(logging.NullHandler())
         # A campaign's runs come by the thousand: several rows a statement, not one.
         engine.dialect.use_insertmanyvalues_wo_returning = True
-        # Of integers it reckons means and sums as numeric, for which the driver has Decimal and SQLite floats.
+        # Means and sums of integers come as numeric: Decimals to the driver, floats from SQLite.
         sa.event.listen(engine, "connect", lambda one, _: one.register_in_adapter(_NUMERIC, float))
         sa.event.listen(
             engine, "checkout", lambda one, record, _: _ask_whether_there(engine.dialect, one, record.info)

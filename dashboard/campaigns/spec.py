@@ -17,6 +17,7 @@ from deploy.check import BadSpecError, check, one_line
 from deploy.definitions import inlined
 from services.bus.mission import FaultSpec, MissionSpec, World
 from services.bus.model import Strict
+from services.bus.own_stack import OwnStack
 
 MAX_RUNS = 100_000
 SEEDS = 2**32
@@ -176,6 +177,12 @@ def _missions(campaign: CampaignSpec) -> Iterator[tuple[Arm, MissionSpec]]:
         for world in campaign.worlds or (campaign.mission.world,):
             given = world if isinstance(world, str) else world.model_dump()
             yield arm, MissionSpec.model_validate({**fields, "world": given})
+
+
+def stacks(campaign: CampaignSpec) -> list[OwnStack]:
+    """Every stack of one's own that is flown, once per arm."""
+    one_world = campaign.model_copy(update={"worlds": ()})
+    return [mission.stack for _, mission in _missions(one_world) if mission.stack is not None]
 
 
 def _flown(campaign: CampaignSpec) -> list[tuple[Arm, Condition, MissionSpec]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
+from pathlib import Path
 from types import FrameType
 
 import click
@@ -16,13 +17,21 @@ from dashboard.commands.campaign import in_slots, in_store
 @click.command()
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen at.")
 @click.option("--port", type=click.IntRange(1, 65_535), default=8300, show_default=True)
+@click.option(
+    "--allow-stack",
+    "stacks",
+    metavar="FILE.toml",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="Programs of your own that may be asked for over HTTP; no others are run. May be repeated.",
+)
 @in_slots
 @in_store
-def serve(host: str, port: int, slots: int | None, store: str) -> None:
+def serve(host: str, port: int, stacks: tuple[Path, ...], slots: int | None, store: str) -> None:
     """Serve the REST API, and fly the campaigns that it is asked for, until SIGTERM."""
     from dashboard.api.server import serve as run  # noqa: PLC0415 - slow to import, needed here alone
 
-    run(store, host, port, slots)
+    run(store, host, port, slots, stacks)
 
 
 @click.command()

@@ -9,7 +9,7 @@ from fastapi import Response
 from nicegui import ui
 from pydantic import ValidationError
 
-from dashboard.api.campaigns import NewCampaign, create
+from dashboard.api.campaigns import NewCampaign, admitted, create
 from dashboard.api.service import Service
 from dashboard.campaigns.forecast import Forecast, forecast
 from dashboard.campaigns.presets import presets
@@ -103,7 +103,8 @@ class _Form:
             asked = NewCampaign(preset=self._kind.value, scale=self._scale.value or 0)
         else:
             asked = NewCampaign(spec=self._own_spec())
-        return asked.made().model_copy(update={"recording": Recording(keep=self._keep.value)})
+        wanted = asked.made().model_copy(update={"recording": Recording(keep=self._keep.value)})
+        return admitted(self._here, wanted)
 
     def _own_spec(self) -> CampaignSpec:
         fault = {"bits": int(self._bits.value or 0), "field": self._field.value}

@@ -1,0 +1,60 @@
+"""Which programs may take the place of stages for who asks over HTTP: those that the owner has named.
+
+The service runs them as its own user, and a shell with ``-c`` is any program. So what is named is all of what
+is run: the executable, its arguments, the folder, and the digest of its files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+from dashboard.campaigns.spec import CampaignSpec, stacks
+from deploy.check import BadSpecError
+from deploy.definitions import own_stack
+from services.bus.own_stack import OwnStack, OwnStage
+
+
+class ForbiddenError(BadSpecError):
+    """What may not be asked for over HTTP."""
+
+
+class Program(NamedTuple):
+    """What is run, to the byte."""
+
+    command: tuple[str, ...]
+    folder: str
+    sha256: str
+
+    @classmethod
+    def of(cls, own: OwnStage) -> Program:
+        """That of a stage."""
+        return cls(own.command, own.folder, own.sha256)
+
+
+Programs = frozenset[Program]
+
+
+def named(files: Iterable[Path]) -> Programs:
+    """The programs in stack files, as they are now.
+
+    :raises BadSpecError: naming the file, if it is none, or a program cannot be run.
+    """
+    read = [OwnStack.model_validate(own_stack(file)) for file in files]
+    return frozenset(Program.of(own) for stack in read for own in stack.stages.values())
+
+
+def refuse_others(programs: Programs, spec: CampaignSpec) -> None:
+    """Refuse a campaign that would run any other program; no file is looked at.
+
+    :raises ForbiddenError: naming the program and the remedy.
+    """
+    for stack in stacks(spec):
+        for stage, own in stack.stages.items():
+            if Program.of(own) not in programs:
+                message = (
+                    f"stack: {stage}: {own.command[0]!r} with these arguments, folder and digest is no "
+                    "program that the service was started with: zenfi serve --allow-stack FILE"
+                )
+                raise ForbiddenError(message)
