@@ -20,15 +20,18 @@ from typing import Literal
 
 from dashboard.api.events import ProcessEvent
 from dashboard.api.hub import Hub
+from dashboard.campaigns import steering
+from dashboard.campaigns.listing import line
 from dashboard.campaigns.spec import CampaignSpec, cells
-from dashboard.campaigns.store import Campaign, Store
+from dashboard.campaigns.store import BusyError, Campaign, Store
+from deploy.check import BadSpecError
 from deploy.sight import Sight
 
 LOOK_S = 2.0
 """Between two looks at what is wanted; who wants something may also knock."""
 
 FAILURES = 5
-"""Pilots of a campaign that died in a row without a run flown, after which it waits for people."""
+"""In a row, after which a campaign is left to people: of its pilots to fly a run, or of its set-up."""
 
 GRACE_S = 15.0
 """A pilot that is told to leave writes down where it was."""
@@ -151,7 +154,12 @@ class _Lane:
 
     def _fly(self, found: Campaign) -> None:
         before = self._store.progress(found)["done"]
-        status = self._pilot(found)
+        try:
+            pilot = self._started(found)
+        except (OSError, BadSpecError) as error:
+            self._not_begun(found, str(error))
+            return
+        status = self._watched(pilot, found.label)
         if status in (0, 130) or self._leaving.is_set():
             self._failures = 0
             return
@@ -163,7 +171,26 @@ class _Lane:
         else:
             self._leaving.wait(2.0**self._failures - 1)
 
-    def _pilot(self, found: Campaign) -> int:
+    def _not_begun(self, found: Campaign, why: str) -> None:
+        """Try again in a while, but not for ever: others wait behind it."""
+        logger.warning("%s cannot be set up: %s", found.label, why)
+        self._failures += 1
+        if self._failures < FAILURES:
+            self._leaving.wait(2.0**self._failures - 1)
+            return
+        self._failures = 0
+        try:
+            steering.give_up(self._store, found, f"it cannot be set up: {why}")
+        except BusyError as error:
+            self._given_up[found.label] = str(error)
+        stands = line(self._store, self._store.find(found.label))
+        self._hub.publish("campaign", stands.model_dump_json(), found.label, f"campaign {found.label}")
+
+    def _started(self, found: Campaign) -> subprocess.Popen[bytes]:
+        """The pilot of a campaign.
+
+        :raises OSError, BadSpecError: if it has no folder, or no process can be started.
+        """
         log = self._store.artefacts(found) / "pilot.log"
         arguments = [str(os.getpid()), found.label]
         arguments += [str(self._slots)] if self._slots else []
@@ -179,19 +206,23 @@ class _Lane:
         with contextlib.suppress(BrokenPipeError), pilot.stdin as said:
             # A URL may hold a password, and everybody sees the arguments of a process.
             said.write(f"{self._store.where}\n".encode())
-        self.flying, self.pilot = found.label, pilot
-        self._tell(found.label, pilot.pid, "running")
+        return pilot
+
+    def _watched(self, pilot: subprocess.Popen[bytes], label: str) -> int:
+        """A pilot's status, once it has ended."""
+        self.flying, self.pilot = label, pilot
+        self._tell(label, pilot.pid, "running")
         if self._leaving.is_set():
             pilot.send_signal(signal.SIGTERM)
         try:
-            status = self._listen(pilot, found.label)
+            status = self._listen(pilot, label)
         except BaseException:
             pilot.kill()
             pilot.wait()
             raise
         finally:
             self.flying, self.pilot = "", None
-        self._tell(found.label, pilot.pid, "ended", status)
+        self._tell(label, pilot.pid, "ended", status)
         return status
 
     def _listen(self, pilot: subprocess.Popen[bytes], label: str) -> int:

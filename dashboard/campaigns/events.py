@@ -84,4 +84,24 @@ class Cancel:
     """The campaign is given up."""
 
 
-Event = Begin | Leased | Started | Alive | Flown | NotFlown | Lost | Passed | NotNeeded | Pause | Cancel
+@dataclass(frozen=True, slots=True)
+class CannotBegin:
+    """Nothing of the campaign can be flown, as what it needs cannot be set up."""
+
+    reason: str
+
+
+Event = (
+    Begin
+    | Leased
+    | Started
+    | Alive
+    | Flown
+    | NotFlown
+    | Lost
+    | Passed
+    | NotNeeded
+    | Pause
+    | Cancel
+    | CannotBegin
+)

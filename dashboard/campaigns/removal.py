@@ -7,6 +7,7 @@ its files go, then its runs and results; whatever is left of that goes with the 
 from __future__ import annotations
 
 import contextlib
+import errno
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -14,6 +15,8 @@ import sqlalchemy as sa
 
 from dashboard.campaigns.database import Database
 from dashboard.campaigns.schema import CampaignRow, ResultRow, RunRow
+
+_NO_FOLDER = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
 
 
 def hide(database: Database, campaign: int) -> None:
@@ -43,12 +46,15 @@ def remove(database: Database, campaign: int, folder: Path) -> None:
 
     :raises OSError: if a file cannot be removed; the rows stay then.
     """
-    with contextlib.suppress(FileNotFoundError):
+    try:
         for path in folder.iterdir():
             if not path.is_dir() or path.is_symlink():
                 path.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # somebody put a folder there
             folder.rmdir()
+    except OSError as error:
+        if error.errno not in _NO_FOLDER:
+            raise
     theirs = sa.select(RunRow.id).where(RunRow.campaign_id == campaign)
     with database.writing() as connection:
         connection.execute(sa.delete(ResultRow).where(ResultRow.run_id.in_(theirs)))

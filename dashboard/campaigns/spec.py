@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,6 +22,12 @@ from services.bus.own_stack import OwnStack
 
 MAX_RUNS = 100_000
 SEEDS = 2**32
+
+LONGEST_NAME = 255
+"""Bytes of a file's name (Linux, NAME_MAX)."""
+
+LONGEST_FOLDER = 1000
+"""Bytes of ``artefacts``; a whole path has at most 4096 (PATH_MAX), and more is in front of it and behind."""
 
 
 class Condition(Strict):
@@ -252,6 +259,7 @@ def check_campaign(campaign: CampaignSpec) -> None:
 
     :raises BadSpecError: naming arm or fault, and what would be right.
     """
+    _check_folder(campaign.artefacts)
     for arm, condition, mission in _flown(campaign):
         try:
             check(mission.model_copy(update={"fault": condition.fault}))
@@ -259,6 +267,23 @@ def check_campaign(campaign: CampaignSpec) -> None:
             where = f"faults: {condition.name}" if campaign.faults else f"arms: {arm.name}"
             message = f"{where}: {error}"
             raise BadSpecError(message) from error
+
+
+def _check_folder(path: str) -> None:
+    """Refuse a folder that cannot be made, or that is or may become another campaign's own.
+
+    :raises BadSpecError: saying which.
+    """
+    names = PurePosixPath(path).parts
+    if not path.isprintable():
+        raise BadSpecError("artefacts: a folder's name has no control characters")
+    if any(len(name.encode()) > LONGEST_NAME for name in names) or len(path.encode()) > LONGEST_FOLDER:
+        message = f"artefacts: a name has at most {LONGEST_NAME} bytes, the whole at most {LONGEST_FOLDER}"
+        raise BadSpecError(message)
+    taken = next((name for name in names if re.fullmatch(r"[A-Za-z0-9._-]+-[0-9]+", name)), None)
+    if taken is not None:
+        message = f"artefacts: {taken!r}: folders called NAME-NUMBER are the campaigns' own; choose another"
+        raise BadSpecError(message)
 
 
 def _parsed(text: str, path: Path) -> Any:

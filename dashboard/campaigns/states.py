@@ -18,7 +18,7 @@ queued     stored, never begun
 running    has a scheduler; the only state in which runs are leased
 paused     left by its scheduler with a reason: interrupted, disk full; can be resumed
 done       every run is done, or not needed
-failed     every run has ended, and some failed; can be resumed
+failed     every run has ended, and some failed, all if nothing could be set up; can be resumed
 cancelled  given up; final
 ========== =======================================================================================
 
@@ -38,6 +38,7 @@ from dashboard.campaigns.events import (
     Alive,
     Begin,
     Cancel,
+    CannotBegin,
     Event,
     Flown,
     Leased,
@@ -120,6 +121,8 @@ class CampaignStates:
                 return self._begin()
             case Cancel():
                 return self._cancel()
+            case CannotBegin(reason):
+                return self._give_up(event, reason)
             case Pause(reason):
                 self._require(event, "running")
                 self.phase, self.reason = "paused", reason
@@ -177,6 +180,15 @@ class CampaignStates:
         self._leases.clear()
         still = [index for index, run in self._runs.items() if run.phase in OPEN]
         return self._change(still, phase="cancelled", lease="", error="the campaign was cancelled")
+
+    def _give_up(self, event: Event, reason: str) -> list[int]:
+        if self.phase in ("done", "cancelled"):
+            message = f"{type(event).__name__} while the campaign is {self.phase}"
+            raise IllegalEventError(message)
+        self.phase, self.reason = "failed", reason
+        self._void_leases()
+        waiting = [index for index, run in self._runs.items() if run.phase == "queued"]
+        return self._change(waiting, phase="failed", error=reason)
 
     def _lease(self, event: Leased) -> list[int]:
         for run in event.runs:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 
-from dashboard.campaigns.events import Begin, Cancel, Pause
+from dashboard.campaigns.events import Begin, Cancel, CannotBegin, Pause
 from dashboard.campaigns.store import BusyError, Campaign, Store
 from deploy.check import BadSpecError
 
@@ -43,6 +43,18 @@ def pause(store: Store, found: Campaign) -> None:
         changed = states.handle(Begin()) if states.phase == "queued" else []
         if states.phase == "running":  # whoever flew it is gone, or it has waited for its turn
             store.write(found, states, changed + states.handle(Pause("paused")), {})
+
+
+def give_up(store: Store, found: Campaign, reason: str) -> None:
+    """End a campaign that cannot be set up as failed; nobody takes it up before it is resumed.
+
+    :raises BusyError: if another process flies it.
+    """
+    with store.lock(found):
+        states = store.states(store.find(found.label))
+        if states.phase not in FINAL:
+            store.write(found, states, states.handle(CannotBegin(reason)), {})
+        store.wish(found, "")
 
 
 def refuse_ended(found: Campaign) -> None:

@@ -200,10 +200,16 @@ class Store:
     def artefacts(self, campaign: Campaign) -> Path:
         """The folder for a campaign's files, made if need be.
 
-        :raises BadSpecError: if it lies outside the store's folder of artefacts, by a link.
+        :raises BadSpecError: if it cannot be made, or lies outside the folder of artefacts, by a link.
         """
-        folder = self._folder(campaign.spec, campaign.label)
-        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            folder = self._folder(campaign.spec, campaign.label)
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            message = (
+                f"artefacts: no folder for {campaign.label}: {error.strerror}: {str(error.filename)[:200]}"
+            )
+            raise BadSpecError(message) from error
         return folder
 
     def _folder(self, spec: CampaignSpec, label: str) -> Path:

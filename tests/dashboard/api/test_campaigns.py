@@ -66,6 +66,29 @@ def test_nothing_outside_is_read_or_connected_to(app: FastAPI, store: Store) -> 
     assert ask(app, CAMPAIGNS, "POST", json={"spec": {**SPEC, **local}}).status_code == 201
 
 
+def test_a_folder_that_cannot_be_made_or_is_another_campaigns_is_refused(app: FastAPI, store: Store) -> None:
+    refused = (
+        "x" * 5000,
+        "x" * 256,
+        "\u00e9" * 128,
+        "/".join("x" * 600),
+        "a\nb",
+        "a\x7fb",
+        "x-1",
+        "mine/x-7/y",
+    )
+    for name in refused:
+        answer = ask(app, CAMPAIGNS, "POST", json={"spec": {**SPEC, "artefacts": name}})
+        assert (answer.status_code, "artefacts: " in answer.json()["detail"]) == (422, True), name
+        assert "\n" not in answer.json()["detail"]
+        assert len(answer.json()["detail"]) < 200
+    assert len(store.campaigns()) == 1
+    for name in ("x" * 255, "\u00e9" * 127, "mine/of today", "x-1-y", "2024-11-22b"):
+        answer = ask(app, CAMPAIGNS, "POST", json={"spec": {**SPEC, "artefacts": name}})
+        assert answer.status_code == 201, name
+        assert store.artefacts(store.find(answer.json()["campaign"])).is_dir()
+
+
 def test_a_request_that_is_sent_again_makes_nothing_new(app: FastAPI, store: Store) -> None:
     def create(body: object, key: str) -> tuple[int, str]:
         answer = ask(app, CAMPAIGNS, "POST", json=body, headers={"Idempotency-Key": key})

@@ -163,3 +163,29 @@ def test_a_campaign_whose_database_was_away_goes_on(tmp_path: Path, postgresql_s
 
         wait_until(is_done, PATIENCE_S)
         assert client.campaign(label).done == 6
+
+
+@pytest.mark.parametrize("hindrance", ["a file in its place", "a link that leads out"])
+def test_a_campaign_that_cannot_be_set_up_fails_and_the_next_one_flies(
+    tmp_path: Path, hindrance: str
+) -> None:
+    with closing(Store(tmp_path)) as store:
+        place = store.folder / "artefacts" / "taken"
+        if hindrance == "a file in its place":
+            place.touch()
+        else:
+            place.symlink_to(tmp_path.parent)
+        stuck = store.create(SPEC.model_copy(update={"artefacts": "taken"}), "fly").label
+        behind = store.create(SPEC.model_copy(update={"runs": 1}), "fly").label
+    with serving(tmp_path) as one, Client(one.address) as client:
+        assert list(client.watch(behind))[-1].data.phase == "done"
+        failed = client.campaign(stuck)
+        assert (failed.phase, failed.failed, failed.done) == ("failed", 6, 0)
+        assert "taken" in failed.reason
+        assert failed.trouble == ""
+        assert "\n" not in failed.reason
+
+        place.unlink()
+        client.steer(stuck, "resume")
+        assert list(client.watch(stuck))[-1].data.phase == "done"
+        assert client.campaign(stuck).done == 6

@@ -46,6 +46,18 @@ def test_a_campaign_within_anothers_folder_keeps_its_files(store: Store) -> None
     assert (store.artefacts(inner) / "worker-0.log").exists()
 
 
+@pytest.mark.parametrize("artefacts", ["x" * 5000, "zenfi/taken"])
+def test_a_campaign_whose_folder_cannot_be_made_is_deleted(store: Store, artefacts: str) -> None:
+    (store.folder / "artefacts" / "zenfi").touch()
+    stuck = store.create(SPEC.model_copy(update={"artefacts": artefacts}))
+    with pytest.raises(BadSpecError, match="no folder for x-1") as refused:
+        store.artefacts(stuck)
+    assert len(str(refused.value)) < 400
+    store.delete(stuck)
+    store.delete(store.create(SPEC))
+    assert store.campaigns() == []
+
+
 def test_a_campaign_that_is_flown_is_not_deleted(store: Store, where: str) -> None:
     campaign = store.create(SPEC)
     with store.lock(campaign), closing(Store(where)) as other, pytest.raises(BusyError):

@@ -16,6 +16,7 @@ from dashboard.campaigns.events import (
     Alive,
     Begin,
     Cancel,
+    CannotBegin,
     Event,
     Flown,
     Leased,
@@ -45,6 +46,7 @@ events = st.one_of(
     st.builds(NotNeeded),
     st.builds(Pause, st.just("interrupted")),
     st.builds(Cancel),
+    st.builds(CannotBegin, st.just("why")),
 )
 
 
@@ -97,7 +99,7 @@ def test_any_order_of_events_keeps_the_promises(story: list[Event]) -> None:
 
 
 def everything_that_can_happen(runs: int, names: str) -> Iterator[Event]:
-    yield from (Begin(), NotNeeded(), Pause("why"), Cancel(), Passed(1.0))
+    yield from (Begin(), NotNeeded(), Pause("why"), Cancel(), CannotBegin("why"), Passed(1.0))
     for lease in names:
         yield from (Lost(lease, "lost"), Alive(lease, 2.0))
         for size in range(1, runs + 1):
