@@ -156,8 +156,9 @@ def clear_marked(folder: Path) -> int:
             with _held(pid, stat.start_ticks) as pidfd:
                 if pidfd is None or not _marked(pid, mark):
                     continue
-                signal.pidfd_send_signal(pidfd, signal.SIGKILL)
-                killed.add((pid, stat.start_ticks))
+                with contextlib.suppress(ProcessLookupError):  # its keeper clears up at the same time
+                    signal.pidfd_send_signal(pidfd, signal.SIGKILL)
+                    killed.add((pid, stat.start_ticks))
                 select.select([pidfd], [], [], _PAUSE_S)
 
 

@@ -12,6 +12,7 @@ import re
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,7 +21,11 @@ from deploy.compose.stack_file import NAME, Stack
 from deploy.scratch import SOCKET_PATH_LIMIT
 
 CONTROL = "control.sock"
+DYING_S = 5.0
+"""How long a killed supervisor may take to let go: its lock is free when the last of its threads is gone."""
+
 _LOCK = "lock"
+_PAUSE_S = 0.01
 _LONGEST_NAME = len("/" + 31 * "n" + ".sock.lock")
 
 
@@ -72,7 +77,7 @@ def log_file(logs: Path, name: str) -> Path:
 def held(folder: Path) -> Iterator[None]:
     """The stack's folder, made if need be and ours alone; emptied on entering, removed on leaving.
 
-    :raises TakenError: if a living supervisor holds it.
+    :raises TakenError: if a living supervisor holds it: one that does not let go in :data:`DYING_S`.
     :raises UnsafeFolderError: if others could enter it, or its path is too long for sockets.
     """
     if len(str(folder)) + _LONGEST_NAME > SOCKET_PATH_LIMIT:
@@ -109,6 +114,7 @@ def check_private(folder: Path) -> None:
 
 
 def _lock(folder: Path) -> int:
+    deadline_s = time.monotonic() + DYING_S
     while True:
         _make_private(folder)
         lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
@@ -118,9 +124,11 @@ def _lock(folder: Path) -> int:
             if os.fstat(lock).st_ino == (folder / _LOCK).stat().st_ino:
                 return lock
         except BlockingIOError as error:
-            os.close(lock)
-            message = f"stack {folder.name} is up already"
-            raise TakenError(message) from error
+            if time.monotonic() >= deadline_s:
+                os.close(lock)
+                message = f"stack {folder.name} is up already"
+                raise TakenError(message) from error
+            time.sleep(_PAUSE_S)
         except FileNotFoundError:
             pass
         os.close(lock)

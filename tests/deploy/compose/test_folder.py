@@ -1,7 +1,9 @@
 """A stack's folder is its supervisor's alone."""
 
+import contextlib
 import stat
 import tempfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -9,6 +11,7 @@ import pytest
 
 from deploy.compose.control import Request, ask
 from deploy.compose.folder import TakenError, UnsafeFolderError, held, stack_folder
+from tests.conftest import PATIENCE_S
 
 
 @pytest.fixture
@@ -32,6 +35,16 @@ def test_there_is_one_holder(folder: Path) -> None:
         assert folder.exists()
     with held(folder):
         pass
+
+
+def test_it_waits_for_a_holder_that_is_dying(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("deploy.compose.folder.DYING_S", PATIENCE_S)
+    with contextlib.ExitStack() as leaving:
+        leaving.enter_context(held(folder))
+        threading.Timer(0.2, leaving.pop_all().close).start()
+        with held(folder):
+            assert (folder / "lock").exists()
+    assert not folder.exists()
 
 
 def test_what_a_dead_holder_left_is_removed(folder: Path) -> None:
