@@ -1,6 +1,7 @@
 """What several folders' tests need: a fork server, and a look at what is left behind."""
 
 import os
+import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +21,22 @@ PATIENCE_S = 300.0
 # No test asserts wall time, also not hypothesis' own deadline.
 settings.register_profile("zenfi", deadline=None)
 settings.load_profile("zenfi")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _what_is_started_heeds_signals() -> Iterator[None]:
+    """Have processes of tests begin with the default disposition of the signals by which people end them.
+
+    A run in the background of a script has SIGINT ignored, one under nohup SIGHUP, and what is ignored is
+    inherited. A handler is not: exec resets it. So this run itself goes on ignoring what it ignored.
+    """
+    asking = (signal.SIGINT, signal.SIGQUIT, signal.SIGHUP, signal.SIGTERM)
+    ignored = [number for number in asking if signal.getsignal(number) is signal.SIG_IGN]
+    for number in ignored:
+        signal.signal(number, lambda *_: None)
+    yield
+    for number in ignored:
+        signal.signal(number, signal.SIG_IGN)
 
 
 @pytest.fixture(scope="session")
