@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from zipfile import ZipFile, ZipInfo
 
 import numpy as np
 
@@ -41,6 +42,12 @@ def make_samples(server: ForkServer) -> Mapping[Path, Sample]:
 
 
 def write(sample: Sample, file: Path) -> None:
-    """Write a sample: not compressed, so that the same arrays are the same bytes everywhere."""
-    arrays: dict[str, Any] = dict(sample)
-    np.savez(file, **arrays)
+    """Write a sample: the same arrays are the same bytes everywhere.
+
+    Not compressed, and not by :func:`numpy.savez`: its headers differ between releases of Python.
+    """
+    with ZipFile(file, "w") as archive:
+        for name, array in sample.items():
+            content = BytesIO()
+            np.lib.format.write_array(content, array, allow_pickle=False)
+            archive.writestr(ZipInfo(f"{name}.npy"), content.getvalue())
