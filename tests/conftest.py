@@ -1,10 +1,12 @@
 """What several folders' tests need: a fork server, and a look at what is left behind."""
 
+import contextlib
 import os
+import re
 import signal
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -111,6 +113,10 @@ def folders(owner: int) -> list[Path]:
     return list(Path(tempfile.gettempdir()).glob(f"{PREFIX}{owner}-*"))
 
 
-def segments() -> set[str]:
-    """Shared memory segments of Zenoh."""
-    return {entry.name for entry in Path("/dev/shm").glob("*.zenoh*")}  # noqa: S108 - to see that none is left
+def segments(pids: Iterable[int]) -> set[str]:
+    """Zenoh's shared memory segments that processes have mapped, from a session's opening on."""
+    found = set()
+    for pid in pids:
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            found.update(re.findall(r"\S+\.zenoh\b", Path(f"/proc/{pid}/maps").read_text()))
+    return found

@@ -1,8 +1,11 @@
-"""The test run does not depend on how it was started."""
+"""The test run does not depend on how it was started, nor on what else runs on the machine."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
+
+from tests.conftest import segments
 
 ROOT = Path(__file__).parents[1]
 TEST = """
@@ -25,3 +28,27 @@ def test_a_run_that_ignores_signals_starts_processes_that_heed_them(tmp_path: Pa
     ignoring = ["sh", "-c", 'trap "" INT QUIT HUP TERM; exec "$@"', "sh", *run]
     ended = subprocess.run(ignoring, cwd=ROOT, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stdout
+
+
+OTHER_PROGRAM = """
+import zenoh
+
+config = zenoh.Config()
+config.insert_json5("transport/shared_memory/enabled", "true")
+config.insert_json5("scouting/multicast/enabled", "false")
+with zenoh.open(config):
+    print("open", flush=True)
+    input()
+"""
+
+
+def test_shared_memory_of_other_programs_is_theirs() -> None:
+    before = segments([os.getpid()])
+    with subprocess.Popen(
+        [sys.executable, "-c", OTHER_PROGRAM], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "open\n"
+        assert segments([os.getpid()]) == before
+        assert len(segments([other.pid])) == 1
+        other.communicate("\n")

@@ -152,10 +152,10 @@ def test_a_stopped_campaign_leaves_nothing_behind(stop: int, status: int) -> Non
     ) as command:
         wait_until(lambda: node(command.pid, "control") is not None, PATIENCE_S)
         family = descendants(command.pid)
+        assert not segments(family)  # which who is killed would leave
         os.kill(command.pid, stop)
         assert command.wait(60.0) == status
     wait_until(lambda: not any(map(alive, family)))
-    assert not segments()
     assert zenfi("doctor").returncode == 0
     assert not any(folders(pid) for pid in family)
 
