@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import subprocess
 import time
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -71,7 +72,7 @@ def workers(scheduler: int) -> list[int]:
 
 def fork_servers(scheduler: int) -> list[int]:
     """The processes of which a worker's nodes are forked, one a worker."""
-    found = []
+    found: list[int] = []
     for worker in workers(scheduler):
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):
             found += map(int, Path(f"/proc/{worker}/task/{worker}/children").read_text().split())
@@ -81,6 +82,12 @@ def fork_servers(scheduler: int) -> list[int]:
 def side_servers(scheduler: int) -> list[int]:
     """Those of which sidecars are forked."""
     return [pid for pid, name in descendants(scheduler).items() if name == SIDE_SERVER]
+
+
+def kill_one_of(servers: Callable[[int], list[int]], scheduler: int) -> None:
+    """Kill one, once there is one: a new worker has none yet."""
+    wait_until(lambda: bool(servers(scheduler)), PATIENCE_S)
+    kill(servers(scheduler)[0])
 
 
 def kill(pid: int) -> None:
@@ -134,9 +141,8 @@ def test_a_lost_fork_server_costs_no_run(tmp_path: Path) -> None:
     with zenfi(hard, "run", spec(tmp_path)) as command:
         for results, servers in ((2, fork_servers), (5, side_servers), (8, fork_servers), (11, side_servers)):
             until(hard, results, command)
-            wait_until(lambda servers=servers: bool(servers(command.pid)), PATIENCE_S)
             family |= descendants(command.pid)
-            kill(servers(command.pid)[0])
+            kill_one_of(servers, command.pid)
         _, said = command.communicate(timeout=PATIENCE_S)
         assert command.returncode == 0, said
 
