@@ -10,11 +10,11 @@ from nicegui import ui
 from dashboard.api.service import Service
 from dashboard.campaigns.compare import Comparison
 from dashboard.campaigns.side_by_side import side_by_side
-from dashboard.campaigns.store import Campaign
+from dashboard.campaigns.store import Campaign, UnknownCampaignError
 from dashboard.campaigns.summary import CellSummary, summary
 from dashboard.web import charts
 from dashboard.web.breakdown import draw
-from dashboard.web.frame import REFUSED, ask, frame, nothing, plain, section, trouble
+from dashboard.web.frame import REFUSED, absent, ask, frame, nothing, plain, section, trouble
 from dashboard.web.quality import (
     BESIDE_NOTE,
     QUALITY_NOTE,
@@ -73,7 +73,10 @@ class _Page:
             self._choose(None, second, arm)
             self._body.clear()
             with self._body:
-                trouble(plain(error), "Choose others above.")
+                if isinstance(error, UnknownCampaignError):
+                    absent(plain(error), "Choose others above.")
+                else:
+                    trouble(str(error), "Choose others above.")
             return
         self._body.clear()
         with self._body:

@@ -28,6 +28,9 @@ NAVIGATION = (
     ("System", "/system"),
 )
 
+ALL_CAMPAIGNS = ("All campaigns", "/")
+"""The way on from an address at which there is nothing."""
+
 ICON = (
     '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32"><rect width="32" height="32" rx="7" '
     'fill="#0072B2"/><path d="M18 4 8 18h7l-2 10 11-15h-8z" fill="#F0E442"/></svg>'
@@ -103,12 +106,20 @@ def nothing(what: str, remedy: str, way: tuple[str, str] | None = None) -> None:
             ui.link(*way)
 
 
-def trouble(what: str, remedy: str = "") -> None:
-    """Something is wrong; ``remedy`` says what to do."""
+def trouble(what: str, remedy: str = "", way: tuple[str, str] | None = None) -> None:
+    """Something is wrong; ``remedy`` says what to do, ``way`` is a link (name, path) to where."""
     with ui.column().classes("state trouble").props('role="alert"'):
         ui.label(what).classes("state-title")
         if remedy:
             ui.label(remedy)
+        if way is not None:
+            ui.link(*way)
+
+
+def absent(what: str, remedy: str, way: tuple[str, str] = ALL_CAMPAIGNS) -> None:
+    """There is no such thing: the page says so and leads on, and its status is 404."""
+    ui.context.client.status_code = 404
+    trouble(what, remedy, way)
 
 
 def section(title: str, note: str = "", anchor: str = "") -> ui.column:
@@ -133,9 +144,11 @@ async def find(here: Service, label: str) -> Campaign | None:
     """The campaign of that label; None after the page was told that there is none."""
     try:
         return await ask(here.store.find, label)
+    except UnknownCampaignError as error:
+        absent(plain(error), "It may have been deleted.")
     except REFUSED as error:
-        trouble(plain(error), "It may have been deleted. All that there are stand on the page Campaigns.")
-        return None
+        trouble(str(error), "Load this page again once that is put right.")
+    return None
 
 
 def plain(error: Exception) -> str:

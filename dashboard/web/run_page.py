@@ -11,13 +11,14 @@ from fastapi import Response
 from nicegui import ui
 
 from dashboard.api.flights import NewFlight, create_flight
+from dashboard.api.problems import NotFoundError
 from dashboard.api.recordings import Recordings, record_run, recordings
-from dashboard.api.runs import read_run, replay_run
+from dashboard.api.runs import RunId, read_run, replay_run
 from dashboard.api.service import Service
-from dashboard.campaigns.listing import LARGEST_ID, StoredRun
+from dashboard.campaigns.listing import StoredRun
 from dashboard.campaigns.relatives import Relative, relatives, same_flights
 from dashboard.campaigns.store import Campaign
-from dashboard.web.frame import REFUSED, ask, find, frame, nothing, section, told, trouble
+from dashboard.web.frame import REFUSED, absent, ask, find, frame, nothing, section, told, trouble
 from dashboard.web.injection_card import injection_card
 from dashboard.web.live_page import address
 from dashboard.web.parts import facts, log, table
@@ -31,16 +32,19 @@ def register(here: Service) -> None:
     """Declare the page."""
 
     @ui.page("/campaigns/{label}/runs/{run}", response_timeout=60)
-    async def page(label: str, run: int) -> None:
+    async def page(label: str, run: RunId) -> None:
         with frame(f"{label}, run {run}"):
             found = await find(here, label)
             if found is None:
                 return
             try:
-                stored = await ask(read_run, here, found, min(max(run, 0), LARGEST_ID))
+                stored = await ask(read_run, here, found, run)
+            except NotFoundError as error:
+                way = "Open the campaign", f"/campaigns/{quote(found.label, safe='')}"
+                absent(str(error), "The campaign's page has all its runs.", way)
+                return
             except REFUSED as error:
-                trouble(str(error), "The campaign's page has all its runs.")
-                ui.link("Open the campaign", f"/campaigns/{quote(label, safe='')}")
+                trouble(str(error), "Load this page again once that is put right.")
                 return
             await RunPage(here, found, stored).draw()
 

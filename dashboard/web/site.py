@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from fastapi import FastAPI, Request, Response
 from fastapi.exception_handlers import http_exception_handler
+from fastapi.exceptions import RequestValidationError
 from nicegui import Client, ui
 from nicegui import app as pages
+from nicegui.client import templates
 from starlette.exceptions import HTTPException
 from starlette.routing import Match, Mount
 from starlette.types import Message, Receive, Scope, Send
@@ -47,6 +49,9 @@ def mount(app: FastAPI, here: Service) -> None:
     for page in PAGES:
         page.register(here)
     pages.add_exception_handler(404, _missing)
+    pages.add_exception_handler(RequestValidationError, _missing)
+    # NiceGUI knows languages of countries only, and loads texts of its own for each.
+    templates.context_processors.append(lambda _: {"html_lang": "en"})
     frame.install()
     flight_style.install()
     ui.run_with(
@@ -64,11 +69,11 @@ def mount(app: FastAPI, here: Service) -> None:
 
 
 async def _missing(request: Request, error: Exception) -> Response:
-    """There is no such page: NiceGUI's own says so without a way to one that there is."""
+    """There is no such page, or none at such a number: NiceGUI's own says so without a way on."""
     if request.url.path.startswith("/_nicegui") and isinstance(error, HTTPException):
         return await http_exception_handler(request, error)
     with Client(ui.page(""), request=request) as client, frame.frame("No such page"):
-        frame.trouble("There is no page at this address.", "Those that there are stand at the top.")
+        frame.absent("There is no page at this address.", "Those that there are stand at the top.")
     return client.build_response(request, 404)
 
 

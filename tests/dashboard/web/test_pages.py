@@ -4,13 +4,14 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import httpx
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from dashboard.campaigns.spec import Arm, CampaignSpec
 from dashboard.client import Client
 from services.bus.mission import FaultSpec, Limits, MissionSpec
-from tests.dashboard.api.conftest import Serving, serving
+from tests.dashboard.api.conftest import PATIENCE_S, Serving, serving
 from tests.dashboard.web.conftest import Looking
 from tests.dashboard.web.stored import stored
 
@@ -210,6 +211,7 @@ def test_a_campaign_that_others_delete_is_shown_as_deleted(
     client.delete(label)
     expect(page.get_by_role("alert").filter(has_text="This campaign was deleted.")).to_be_visible()
     expect(page.get_by_text("Quality of flight")).to_be_hidden()
+    looking.expected = ("404",)
     looking.goto(service.address, f"/campaigns/{label}")
     expect(page.get_by_role("alert").filter(has_text="no campaign")).to_be_visible()
 
@@ -220,6 +222,47 @@ def test_where_there_is_no_page_the_ways_to_the_others_stand(service: Serving, l
     expect(page.get_by_role("alert")).to_contain_text("There is no page at this address.")
     page.get_by_role("link", name="Studies").click()
     expect(page.get_by_role("heading", level=1)).to_have_text("Studies")
+
+
+@pytest.mark.parametrize(
+    ("path", "said", "way", "leads_to"),
+    [
+        ("/campaigns/none-1", "There is no campaign none-1.", "All campaigns", "/"),
+        ("/campaigns/none-1/runs/1", "There is no campaign none-1.", "All campaigns", "/"),
+        (
+            "/campaigns/{short}/runs/987654",
+            "{short} has no run 987654",
+            "Open the campaign",
+            "/campaigns/{short}",
+        ),
+        ("/campaigns/{short}/runs/first", "There is no page at this address.", "All campaigns", "/"),
+        ("/compare?first=none-1", "There is no campaign none-1.", "All campaigns", "/"),
+        ("/live?run=first", "There is no page at this address.", "All campaigns", "/"),
+        ("/studies/none", "There is no page at this address.", "All campaigns", "/"),
+    ],
+)
+def test_of_what_is_not_there_the_answer_is_404_in_words_with_a_way_on(
+    service: Serving, looking: Looking, short: str, path: str, said: str, way: str, leads_to: str
+) -> None:
+    looking.expected = ("404",)
+    path, said, leads_to = (text.format(short=short) for text in (path, said, leads_to))
+    answer = httpx.get(service.address + path, timeout=PATIENCE_S)
+    assert (answer.status_code, answer.headers["content-type"]) == (404, "text/html; charset=utf-8")
+    page = looking.goto(service.address, path)
+    expect(page.get_by_role("alert")).to_contain_text(said)
+    page.locator("#content").get_by_role("link", name=way, exact=True).click()
+    page.wait_for_url(re.compile(re.escape(service.address + leads_to) + r"(\?.*)?$"))
+    expect(page.get_by_role("alert")).to_have_count(0)
+
+
+def test_every_page_says_that_it_is_in_english(service: Serving, looking: Looking, short: str) -> None:
+    looking.expected = ("404",)
+    run = httpx.get(f"{service.address}/api/v1/campaigns/{short}/runs").json()["runs"][0]["id"]
+    of_one = (f"/campaigns/{short}", f"/campaigns/{short}/runs/{run}")
+    for path in ("/", "/new", "/live", "/compare", "/studies", "/system", "/login", "/nothing-here", *of_one):
+        assert '<html lang="en">' in httpx.get(service.address + path, timeout=PATIENCE_S).text, path
+        looking.goto(service.address, path)
+        assert looking.page.evaluate("document.documentElement.lang") == "en", path
 
 
 def test_names_that_people_type_are_never_markup(service: Serving, looking: Looking) -> None:

@@ -177,10 +177,3 @@ def test_on_a_telephone_nothing_hangs_over_the_edge(
     page = looking.goto(service.address, runs["flip"])
     expect(page.get_by_role("heading", name="Injection")).to_be_visible()
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
-
-
-def test_of_a_run_that_is_not_there_the_page_says_so(
-    service: Serving, looking: Looking, runs: dict[str, str]
-) -> None:
-    page = looking.goto(service.address, runs["flip"].rpartition("/")[0] + "/987654")
-    expect(page.get_by_role("alert")).to_contain_text("has no run 987654")
