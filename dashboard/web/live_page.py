@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from typing import Annotated, Any
 from urllib.parse import quote
 
 import numpy as np
+from fastapi import Query
 from nicegui import ui
 
-from dashboard.api.flights import Flight, read_flight
+from dashboard.api.conductor import is_flight
+from dashboard.api.problems import NotFoundError
+from dashboard.api.runs import read_run
 from dashboard.api.service import Service
-from dashboard.campaigns.listing import stored_run
-from dashboard.campaigns.store import Campaign
+from dashboard.campaigns.listing import LARGEST_ID, RunQuery, StoredRun, line, run_page, stored_run
+from dashboard.campaigns.states import OPEN
+from dashboard.campaigns.store import Campaign, UnknownCampaignError
 from dashboard.web.curves import Chart, Curve
 from dashboard.web.flight_forms import fault_form, flight_form
 from dashboard.web.flight_style import GOLDEN, INJECTED, RECOVERED, STRUCK
-from dashboard.web.frame import REFUSED, ask, frame, nothing, plain, section, trouble
+from dashboard.web.frame import REFUSED, absent, ask, frame, nothing, plain, section, trouble
 from dashboard.web.parts import Readings, legend
 from dashboard.web.pictures import depth_picture, map_picture
 from dashboard.web.plan_view import PlanView, path, vehicle
@@ -31,7 +36,13 @@ LOOK_S = 0.25
 
 LIST_S = 1.0
 
+LIVE = ("Live flights", "/live")
+
 _COMMANDS = (("vx", GOLDEN), ("vy", INJECTED), ("vz", RECOVERED), ("yaw rate", STRUCK))
+
+
+_Why = tuple[Any, ...]
+"""What draws why there is no flight to be seen, and what it is given."""
 
 
 @dataclass
@@ -65,16 +76,19 @@ def register(here: Service) -> None:
     """Declare the page."""
 
     @ui.page("/live", response_timeout=60)
-    async def page(flight: str = "", run: int = 0) -> None:
+    async def page(flight: str = "", run: Annotated[int, Query(ge=0, le=LARGEST_ID)] = 0) -> None:
         with frame("Live flights"):
             chosen = ui.column().classes("section")
             watched = ui.column().classes("section")
+            with chosen:
+                live = _Live(here, watched, flight, run)
             with (
                 ui.element("div").classes("panel"),
                 section("Fly one mission", "It waits for no campaign."),
             ):
                 flight_form(here, lambda label: ui.navigate.to(address(label)))
-            await _watch(here, chosen, watched, flight, run)
+            await live.look()
+            ui.timer(LIST_S, live.look, immediate=False)
 
 
 def address(label: str, run: int = 0) -> str:
@@ -92,112 +106,174 @@ def under_way(here: Service) -> dict[int, tuple[str, Present]]:
     return found
 
 
-async def _watch(here: Service, chosen: ui.column, watched: ui.column, label: str, run: int) -> None:
-    """Offer what flies, and show the flight of that label, or the first that there is."""
-    with chosen:
-        choice = ui.select({}, label="Flights under way", on_change=lambda told: go(told.value))
-        choice.classes("choice").props("outlined dense")
-        state = ui.column().classes("section")
+class _Live:
+    """The flight that the page shows, a choice among those under way, and why there is none.
 
-    def go(value: int | None) -> None:
-        if value is not None and value in here_now and value != run:
-            ui.navigate.to(address(here_now[value], value))
+    A run that the address names stays. Else the page shows what flies (of the campaign that the address
+    names), and after its end the flight that began last: of it most is still to come.
+    """
 
-    here_now: dict[int, str] = {}
-    shown: list[int] = []
+    def __init__(self, here: Service, place: ui.column, label: str, run: int) -> None:
+        self._here, self._place, self._label, self._pinned = here, place, label, run
+        self._flying: dict[int, str] = {}
+        self._shown = 0
+        self._told: _Why | None = None
+        self._places: _Places | None = None
+        self._choice = ui.select({}, label="Flights under way", on_change=lambda told: self._go(told.value))
+        self._choice.classes("choice").props("outlined dense")
+        self._state = ui.column().classes("section")
 
-    async def look() -> None:
-        nonlocal run
-        flying = under_way(here)
-        here_now.clear()
-        here_now.update({number: told for number, (told, _) in sorted(flying.items())})
-        names = {number: f"{told}, run {number}" for number, told in here_now.items()}
-        if names != choice.options:
-            choice.set_options(names, value=run if run in names else None)
-        if not shown:
-            run = run or _first(here_now, label)
-            if run in here_now and await _show(here, watched, here_now[run], run):
-                shown.append(run)
-                state.clear()
-                choice.set_value(run)
-                return
-        if not shown:
-            await _tell(here, state, label)
+    async def look(self) -> None:
+        """Show what flies now."""
+        flying = under_way(self._here)
+        self._flying = {number: told for number, (told, _) in sorted(flying.items())}
+        run = self._next()
+        if run and run != self._shown:
+            await self._show(run)
+        elif not self._shown:
+            await self._tell()
+        names = {number: f"{told}, run {number}" for number, told in self._flying.items()}
+        value = self._shown if self._shown in names else None
+        if (names, value) != (self._choice.options, self._choice.value):
+            self._choice.set_options(names, value=value)
 
-    await look()
-    ui.timer(LIST_S, look, immediate=False)
+    def _next(self) -> int:
+        """The run to be shown; 0 if there is none."""
+        if self._pinned or self._shown in self._flying:
+            wanted = self._pinned or self._shown
+            return wanted if wanted in self._flying else 0
+        return max((run for run, told in self._flying.items() if self._label in ("", told)), default=0)
 
+    def _go(self, value: int | None) -> None:
+        if value is not None and value in self._flying and value != self._shown:
+            ui.navigate.to(address(self._flying[value], value))
 
-def _first(flying: dict[int, str], label: str) -> int:
-    wanted = (number for number, told in flying.items() if label in ("", told))
-    return next(wanted, 0)
+    async def _show(self, run: int) -> None:
+        found = await ask(self._here.store.find, self._flying[run])
+        stored = await ask(read_run, self._here, found, run)
+        world = await ask(make_world, stored.spec.world, stored.spec.seed)
+        self._shown = run
+        self._state.clear()
+        if self._places is None:
+            with self._place:
+                self._places = _Places()
+        _Watched(self._here, self._places, found, run, stored.spec, world)
 
+    async def _tell(self) -> None:
+        """Say why there is nothing to be seen; again only when that has changed, as it holds links."""
+        why = await self._why()
+        if why != self._told:
+            self._told = why
+            self._state.clear()
+            with self._state:
+                why[0](*why[1:])
 
-async def _tell(here: Service, state: ui.column, label: str) -> None:
-    """Why there is nothing to be seen."""
-    state.clear()
-    with state:
-        if not label:
-            nothing("No flight is under way.", "Fly one below, or start a campaign on the page Campaigns.")
-            return
+    async def _why(self) -> _Why:
+        if not self._label:
+            remedy = "Fly one below, or start a campaign on the page Campaigns."
+            return nothing, "No flight is under way.", remedy
         try:
-            flight: Flight = await ask(lambda: read_flight(here, here.store.find(label)))
+            return await ask(_standing, self._here, self._label, self._pinned)
+        except UnknownCampaignError as error:
+            return absent, plain(error), "Choose another flight, or fly one below.", LIVE
+        except NotFoundError as error:
+            return absent, str(error), "The campaign's page has all its runs.", _campaign(self._label)
         except REFUSED as error:
-            trouble(plain(error), "Choose another flight, or fly one below.")
-            return
-        if flight.campaign.phase in ("queued", "running"):
-            nothing(f"{label} is about to fly.", "It is shown here as soon as it does.")
-        else:
-            nothing(f"{label} has ended: {flight.campaign.phase}.", "All about it stands on its page.")
-            ui.link("Open the flight", f"/campaigns/{quote(label, safe='')}/runs/{flight.run.id}")
+            return trouble, str(error), "This page tries again by itself."
 
 
-async def _show(here: Service, place: ui.column, label: str, run: int) -> bool:
-    found = await ask(here.store.find, label)
-    stored = await ask(stored_run, here.store, found, run)
-    if stored is None:
-        return False
-    world = await ask(make_world, stored.spec.world, stored.spec.seed)
-    with place:
-        _Watched(here, found, run, stored.spec, world)
-    return True
+def _standing(here: Service, label: str, run: int) -> _Why:
+    """How a campaign, or a run of it, stands that does not fly at this moment.
+
+    :raises UnknownCampaignError: if there is none of that label.
+    :raises NotFoundError: if it has no such run.
+    """
+    found = here.store.find(label)
+    single = is_flight(found.spec)
+    if single and not run:
+        run = run_page(here.store, found, RunQuery(limit=1)).runs[0].id
+    stored = read_run(here, found, run) if run else None
+    if stored is not None and stored.phase not in OPEN:
+        return _over, label, run, _ended_as(stored)
+    phase = line(here.store, found).phase
+    if phase in ("queued", "running"):
+        what = f"Run {run} of {label}" if run and not single else label
+        return nothing, f"{what} is about to fly.", "It is shown here as soon as it does."
+    if phase in ("done", "cancelled"):
+        return nothing, f"{label} has ended: {phase}.", "All about it stands on its page.", _campaign(label)
+    return nothing, f"{label} does not fly: it is {phase}.", "Resume it on its page.", _campaign(label)
+
+
+def _ended_as(stored: StoredRun) -> str:
+    return stored.result.result if stored.result is not None else stored.error or stored.phase
+
+
+def _over(label: str, run: int, result: str) -> None:
+    """A run has ended: how, and where one goes from here."""
+    nothing(f"Run {run} of {label} has ended: {result}.", "All about it stands on its page.")
+    with ui.row().classes("links"):
+        ui.link("Open the flight", f"/campaigns/{quote(label, safe='')}/runs/{run}")
+        ui.link(*LIVE)
+
+
+def _campaign(label: str) -> tuple[str, str]:
+    return "Open the campaign", f"/campaigns/{quote(label, safe='')}"
+
+
+class _Places:
+    """Where parts of the page stand. The scene is every flight's; the other places are filled anew."""
+
+    def __init__(self) -> None:
+        self.head = ui.column().classes("section")
+        with ui.element("div").classes("panels"):
+            with ui.element("div").classes("panel"):
+                self.scene = SceneView("The flight in three dimensions")
+            self.panels = ui.element("div").classes("among")
+        self.fault = ui.column().classes("panel")
 
 
 class _Watched:
-    """One flight as it goes on."""
+    """One flight as it goes on, in the place of the one before."""
 
-    def __init__(self, here: Service, found: Campaign, run: int, spec: MissionSpec, world: World) -> None:
+    def __init__(
+        self, here: Service, places: _Places, found: Campaign, run: int, spec: MissionSpec, world: World
+    ) -> None:
         self._here, self._found, self._run, self._world = here, found, run, world
         self._tracks = {True: Track(True), False: Track(False)}
         self._sight: Sight | None = None
         struck = spec.fault is not None
         self._colours = {True: GOLDEN, False: INJECTED if struck else GOLDEN}
-        with section(f"{found.label}, run {run}", f"{spec.mission} in {world.name}, seed {spec.seed}"):
-            self._state = ui.label("under way").classes("note").props('role="status"')
-            self._after = ui.row()
+        self._scene, self._fault = places.scene, places.fault
+        for place in (places.head, places.panels, places.fault):
+            place.clear()
+        with places.head:
+            with section(f"{found.label}, run {run}", f"{spec.mission} in {world.name}, seed {spec.seed}"):
+                self._state = ui.label("under way").classes("note").props('role="status"')
+                self._after = ui.column().classes("section")
             self._readings = Readings(
                 ["time", "distance", "energy", "speed", "replans", "smallest clearance"]
             )
             legend({"golden": GOLDEN, "with the fault": INJECTED} if struck else {"flight": GOLDEN})
-            with ui.element("div").classes("panels"):
-                with ui.element("div").classes("panel"):
-                    self._scene = SceneView(world, "The flight in three dimensions")
-                with ui.element("div").classes("panel"):
-                    self._plan = PlanView(world, "Plan view with the map that the flight has made")
-                    legend({"seen free": "#56b4e9", "seen occupied": "#d55e00"})
-                with ui.element("div").classes("panel"):
-                    ui.label("Depth image").classes("heading")
-                    self._depth = ui.image().classes("depth")
-                    self._depth.props('no-spinner no-transition alt="Depth image"')
-                    ui.label("Near is bright; the darkest is 20 m away or farther.").classes("note")
-                with ui.element("div").classes("panel"):
-                    ui.label("Flight commands").classes("heading")
-                    self._chart = Chart("m/s, rad/s", Track(False).commands())
-            self._fault = ui.column().classes("panel")
-            with self._fault, section("Inject a fault by hand", _BY_HAND):
-                fault_form(here, found, lambda label: ui.navigate.to(address(label)))
+            self._timer = ui.timer(LOOK_S, self._look)
+        self._scene.draw_world(world)
+        with places.panels:
+            self._draw_panels()
+        with self._fault, section("Inject a fault by hand", _BY_HAND):
+            fault_form(here, found, lambda label: ui.navigate.to(address(label)))
         self._fault.set_visibility(not struck and spec.clock == "lockstep" and found.spec.runs == 1)
-        self._timer = ui.timer(LOOK_S, self._look)
+
+    def _draw_panels(self) -> None:
+        with ui.element("div").classes("panel"):
+            self._plan = PlanView(self._world, "Plan view with the map that the flight has made")
+            legend({"seen free": "#56b4e9", "seen occupied": "#d55e00"})
+        with ui.element("div").classes("panel"):
+            ui.label("Depth image").classes("heading")
+            self._depth = ui.image().classes("depth")
+            self._depth.props('no-spinner no-transition alt="Depth image"')
+            ui.label("Near is bright; the darkest is 20 m away or farther.").classes("note")
+        with ui.element("div").classes("panel"):
+            ui.label("Flight commands").classes("heading")
+            self._chart = Chart("m/s, rad/s", Track(False).commands())
 
     async def _look(self) -> None:
         told = under_way(self._here).get(self._run)
@@ -232,14 +308,13 @@ class _Watched:
 
     async def _ended(self) -> None:
         stored = await ask(stored_run, self._here.store, self._found, self._run)
-        if stored is None or stored.phase in ("queued", "leased", "running"):
+        if stored is None or stored.phase in OPEN or self._after.is_deleted:
             return
         self._timer.deactivate()
-        result = stored.result.result if stored.result is not None else stored.error or stored.phase
-        self._state.set_text(f"it has ended: {result}")
+        self._state.set_visibility(False)
         self._fault.set_visibility(False)
         with self._after:
-            ui.link("Open the flight", f"/campaigns/{quote(self._found.label, safe='')}/runs/{self._run}")
+            _over(self._found.label, self._run, _ended_as(stored))
 
 
 _BY_HAND = (

@@ -131,7 +131,8 @@ class _Views:
         with ui.element("div").classes("panels"):
             with ui.element("div").classes("panel"):
                 around = np.concatenate([one.points for one in self._ways.values()])
-                self._scene = SceneView(self._flights.world, "The flights in three dimensions", around)
+                self._scene = SceneView("The flights in three dimensions")
+                self._scene.draw_world(self._flights.world, around)
                 for name, one in self._ways.items():
                     self._scene.draw_path(name, one.points.tolist(), _COLOURS[name])
                 ui.label("Drag to turn, wheel or two fingers to come nearer.").classes("note")

@@ -36,15 +36,24 @@ _VEHICLE_M = 0.9
 class SceneView:
     """Obstacles, paths and vehicles; drag to turn, wheel to come nearer.
 
-    ``around`` (n, 3): what is looked at at first, such as a flight; else the whole world.
+    A page needs one only: browsers go on drawing a scene that was taken away.
     """
 
-    def __init__(self, world: World, described: str, around: Floats | None = None) -> None:
-        (left, south, floor), (right, north, _) = world.bounds.tolist()
+    def __init__(self, described: str) -> None:
         self._paths: dict[str, PointCloud] = {}
         self._vehicles: dict[str, Sphere] = {}
         self.element = ui.scene(grid=False, background_color="#9fb3c8", fps=FRAMES_PER_S).classes("scene")
         self.element.props('role="img"').props["aria-label"] = described
+
+    def draw_world(self, world: World, around: Floats | None = None) -> None:
+        """Draw a world in the place of all that was drawn.
+
+        ``around`` (n, 3): what is looked at at first, such as a flight; else the whole world.
+        """
+        self.element.clear()
+        self._paths.clear()
+        self._vehicles.clear()
+        (left, south, floor), (right, north, _) = world.bounds.tolist()
         centre, span = ((left + right) / 2, (south + north) / 2), max(right - left, north - south)
         with self.element as scene:
             scene.box(right - left, north - south, 0.1).move(*centre, floor - 0.05).material("#e8ecf0")

@@ -1,12 +1,17 @@
 """Flights watched in a browser while they fly, and struck by hand."""
 
 import re
+from collections.abc import Iterator
 
+import httpx
+import pytest
 from playwright.sync_api import Page, expect
 
+from dashboard.campaigns.listing import RunQuery
+from dashboard.campaigns.spec import Arm, CampaignSpec
 from dashboard.client import Client
 from services.bus.mission import Limits, MissionSpec
-from tests.dashboard.api.conftest import Serving
+from tests.dashboard.api.conftest import PATIENCE_S, Serving
 from tests.dashboard.web.conftest import Looking
 
 STRUCK_WITHIN_S = 150.0
@@ -17,11 +22,80 @@ def vehicle(page: Page) -> str | None:
     return page.locator(".layer-now circle").get_attribute("cx")
 
 
+@pytest.fixture
+def flying(client: Client) -> Iterator[str]:
+    """A campaign of which one flight follows the other as long as a test looks."""
+    spec = CampaignSpec(
+        name="many",
+        runs=500,
+        mission=MissionSpec(limits=Limits(mission_time_s=10)),
+        arms=(Arm(name="golden"),),
+    )
+    label = client.create(spec).campaign
+    yield label
+    client.steer(label, "cancel")
+
+
+def shown_run(page: Page) -> int:
+    """The number of the run that the page shows."""
+    heading = page.get_by_role("heading", name=re.compile(r", run \d+$"))
+    expect(heading).to_be_visible()
+    return int(heading.inner_text().rpartition(" ")[2])
+
+
+def test_the_page_goes_on_to_the_next_flight_while_a_campaign_flies(
+    service: Serving, looking: Looking, flying: str
+) -> None:
+    for path in ("/live", f"/live?flight={flying}"):
+        page = looking.goto(service.address, path)
+        first = shown_run(page)
+        expect(page.get_by_role("heading", name=re.compile(rf", run {first}$"))).to_have_count(0)
+        assert shown_run(page) > first
+        expect(page.locator(".scene canvas")).to_have_count(1)
+        assert page.url == service.address + path
+
+
+def test_a_run_that_the_address_names_stays_and_is_said_to_have_ended(
+    service: Serving, client: Client, looking: Looking, flying: str
+) -> None:
+    page = looking.goto(service.address, f"/live?flight={flying}")
+    run = shown_run(page)
+    path = f"/live?flight={flying}&run={run}"
+    for _ in range(2):  # watched to its end, or looked for afterwards
+        looking.goto(service.address, path)
+        ended = page.get_by_role("status").filter(has_text=f"Run {run} of {flying} has ended: ")
+        expect(ended).to_be_visible()
+        links = page.locator("#content")
+        expect(links.get_by_role("link", name="Open the flight")).to_have_attribute(
+            "href", f"/campaigns/{flying}/runs/{run}"
+        )
+        others = {line.id for line in client.runs(flying, RunQuery(phase="done"))}
+        assert run in others
+    links.get_by_role("link", name="Live flights").click()
+    page.wait_for_url(f"{service.address}/live")
+    assert shown_run(page) > run
+
+
+def test_of_flights_that_are_not_there_the_answer_is_404(
+    service: Serving, looking: Looking, flying: str
+) -> None:
+    looking.expected = ("404",)
+    for path, said, leads_to in (
+        ("/live?flight=none-1", "There is no campaign none-1.", "/live"),
+        (f"/live?flight={flying}&run=987654", f"{flying} has no run 987654", f"/campaigns/{flying}"),
+    ):
+        assert httpx.get(service.address + path, timeout=PATIENCE_S).status_code == 404
+        page = looking.goto(service.address, path)
+        expect(page.get_by_role("alert")).to_contain_text(said)
+        expect(page.get_by_role("alert").get_by_role("link")).to_have_attribute("href", leads_to)
+
+
 def test_where_nothing_flies_the_page_says_what_to_do(service: Serving, looking: Looking) -> None:
     page = looking.goto(service.address, "/live")
     expect(page.get_by_role("status")).to_contain_text("No flight is under way.")
     page.get_by_label("Seed").fill("-1")
     page.get_by_label("Seed").blur()
+    looking.expected = ("404",)
     page.goto(f"{service.address}/live?flight=flight-987")
     expect(page.get_by_role("alert")).to_contain_text("flight-987")
 
@@ -49,7 +123,7 @@ def test_a_flight_is_started_and_watched(service: Serving, client: Client, looki
     assert page.evaluate("window.before") == 1
     assert client.sight(watched).map is not None
     client.steer(watched, "cancel")
-    expect(page.get_by_text("it has ended: the campaign was cancelled")).to_be_visible()
+    expect(page.get_by_text(re.compile("has ended: the campaign was cancelled"))).to_be_visible()
 
 
 def test_a_flight_under_way_is_struck_by_hand(service: Serving, client: Client, looking: Looking) -> None:
