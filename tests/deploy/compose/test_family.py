@@ -34,7 +34,7 @@ def test_what_is_gone_before_it_is_killed_is_not_missed(
 ) -> None:
     """A keeper kills and reaps its process at the instant between our look and our signal."""
     left = marked(tmp_path)
-    looks = []
+    looks: list[int] = []
 
     def then_gone(pid: int, mark: bytes) -> bool:
         found = is_marked(pid, mark)
