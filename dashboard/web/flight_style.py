@@ -6,9 +6,10 @@ from pathlib import Path
 
 from nicegui import ui
 
-from dashboard.web.charts import BLUE, GREEN, ORANGE, PURPLE, VERMILION
+from dashboard.web.charts import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
-GOLDEN, INJECTED, RECOVERED, ALARM, STRUCK = BLUE, VERMILION, GREEN, ORANGE, PURPLE
+GOLDEN, INJECTED, RECOMPUTED, ALARM, STRUCK = BLUE, VERMILION, GREEN, ORANGE, PURPLE
+WITH_DETECTOR = SKY
 NEUTRAL = "#8a9099"
 """Of texts on charts: legible on light and on dark."""
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from nicegui import ui
 
 from dashboard.web.bits import Bit, Field, Word, words
-from dashboard.web.flight_style import ALARM, GOLDEN, NEUTRAL, RECOVERED
+from dashboard.web.flight_style import ALARM, GOLDEN, NEUTRAL, RECOMPUTED
 from dashboard.web.parts import facts
 from injector.symbols import demangled
 from services.bus.outcome import InjectionRecord
 
 _COLOURS: dict[Field, str] = {
     "sign": ALARM,
-    "exponent": RECOVERED,
+    "exponent": RECOMPUTED,
     "mantissa": GOLDEN,
     "integer": NEUTRAL,
 }

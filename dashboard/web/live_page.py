@@ -20,7 +20,7 @@ from dashboard.campaigns.states import OPEN
 from dashboard.campaigns.store import Campaign, UnknownCampaignError
 from dashboard.web.curves import Chart, Curve
 from dashboard.web.flight_forms import fault_form, flight_form
-from dashboard.web.flight_style import GOLDEN, INJECTED, RECOVERED, STRUCK
+from dashboard.web.flight_style import GOLDEN, INJECTED, RECOMPUTED, STRUCK
 from dashboard.web.frame import REFUSED, absent, ask, frame, nothing, plain, section, trouble
 from dashboard.web.parts import Readings, legend
 from dashboard.web.pictures import depth_picture, map_picture
@@ -38,7 +38,7 @@ LIST_S = 1.0
 
 LIVE = ("Live flights", "/live")
 
-_COMMANDS = (("vx", GOLDEN), ("vy", INJECTED), ("vz", RECOVERED), ("yaw rate", STRUCK))
+_COMMANDS = (("vx", GOLDEN), ("vy", INJECTED), ("vz", RECOMPUTED), ("yaw rate", STRUCK))
 
 
 _Why = tuple[Any, ...]

@@ -92,7 +92,7 @@ class _Form:
         self._field = choice("bits of", FIELDS, "any")
         self._planner = choice("planner", list(PLANNERS), "rrt_star")
         self._time = number("mission ends after, s", 200, 1)
-        self._detector = choice("detector that recovers", [NONE, *with_models()], NONE)
+        self._detector = choice("detector that recomputes", [NONE, *with_models()], NONE)
 
     def _wanted(self) -> CampaignSpec:
         """What is asked for, checked.

@@ -117,7 +117,7 @@ def _worst_of(arm: str, world: str) -> Reckoned:
     return lambda records: worst(_of(records, arm, world, struck=True))
 
 
-def _recovered(bare: str, held: str, world: str = "") -> Reckoned:
+def _removed(bare: str, held: str, world: str = "") -> Reckoned:
     """By how much of the worst delay an arm's worst is smaller, in per cent."""
 
     def ours(records: Records) -> float | None:
@@ -183,10 +183,10 @@ def _table4() -> list[Finding]:
         found.append(Finding(label, "%", delays["bare"][i], _worst_of("bare", world)))
         found += [
             Finding(
-                f"{world}, {arm}: of that recovered (Fig. 12)",
+                f"{world}, {arm}: of that delay removed (Fig. 12)",
                 "%",
                 delays[arm][i],
-                _recovered("bare", arm, world),
+                _removed("bare", arm, world),
             )
             for arm in ("gaussian", "autoencoder")
         ]
@@ -194,21 +194,21 @@ def _table4() -> list[Finding]:
 
 
 def _fig14() -> list[Finding]:
-    recovered = {
+    removed = {
         "gaussian": (16.2, 29.9, 34.7, 65.1, 76.5),
         "autoencoder": (20.1, 59.3, 73.2, 74.8, 87.1),
     }
     stages = ("perception", "planning", "control", "planning_control", "all")
     return [
-        Finding(f"{scheme}, {stage}: delay recovered", "%", value, _recovered("bare", f"{scheme} {stage}"))
-        for scheme, values in recovered.items()
+        Finding(f"{scheme}, {stage}: delay removed", "%", value, _removed("bare", f"{scheme} {stage}"))
+        for scheme, values in removed.items()
         for stage, value in zip(stages, values, strict=True)
     ]
 
 
 def _fig16() -> list[Finding]:
     return [
-        Finding(f"TX2, {scheme}: delay recovered", "%", value, _recovered("tx2", f"tx2 {scheme}"))
+        Finding(f"TX2, {scheme}: delay removed", "%", value, _removed("tx2", f"tx2 {scheme}"))
         for scheme, value in (("gaussian", 79.3), ("autoencoder", 88.0))
     ]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dashboard.web.curves import Curve, Moment
-from dashboard.web.flight_style import ALARM, GOLDEN, INJECTED, RECOVERED, STRUCK
+from dashboard.web.flight_style import ALARM, GOLDEN, INJECTED, RECOMPUTED, STRUCK, WITH_DETECTOR
 from deploy.present import series
 from services.bus.horizon import Stamped
 from services.bus.messages import MalformedMessageError, decode
@@ -32,6 +32,31 @@ UNITS = {
     "command.yaw_rate": "rad/s",
 }
 """Of the inter-kernel states; what is not here is a count."""
+
+
+COLOURS = {
+    "flight": GOLDEN,
+    "golden": GOLDEN,
+    "injected": INJECTED,
+    "with detector": WITH_DETECTOR,
+    "recomputed": RECOMPUTED,
+}
+"""Of flights, by what :func:`called` calls them; ``golden`` is the twin."""
+
+
+def called(outcome: Outcome) -> str:
+    """What a flight is called beside others of its fault.
+
+    ``recomputed`` says that an output was made again after the strike. Whether that recovered the flight,
+    one flight cannot tell: it takes harm as it was declared, and the flight without the detector.
+    """
+    if outcome.spec.fault is None:
+        return "flight"
+    if outcome.spec.detector is None:
+        return "injected"
+    alarms = outcome.detection.alarms if outcome.detection is not None else []
+    acted = any(one.true and one.action == "recomputed" for one in alarms)
+    return "recomputed" if acted else "with detector"
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +125,7 @@ def curves(flight: Messages, twin: Messages | None, name: str, flown: str = "inj
         return [Curve("flight", GOLDEN, *values(flight, name))]
     return [
         Curve("golden", GOLDEN, *values(twin, name), dashed=True),
-        Curve(flown, RECOVERED if flown == "recovered" else INJECTED, *values(flight, name)),
+        Curve(flown, COLOURS[flown], *values(flight, name)),
     ]
 
 

@@ -15,11 +15,11 @@ from dashboard.propagation import Picture, picture
 from dashboard.records import open_run
 from dashboard.web import run_data
 from dashboard.web.curves import Chart, Curve
-from dashboard.web.flight_style import GOLDEN, INJECTED, RECOVERED, STRUCK
+from dashboard.web.flight_style import STRUCK
 from dashboard.web.frame import section
 from dashboard.web.parts import legend
 from dashboard.web.plan_view import PlanView, alarm, cross, path, vehicle
-from dashboard.web.run_data import Messages, Way
+from dashboard.web.run_data import COLOURS, Messages, Way
 from dashboard.web.scene_view import SceneView
 from dashboard.web.travel import travel
 from services.bus.mission import FaultSpec, MissionSpec
@@ -38,7 +38,7 @@ PLAYED = 5.0
 class Flights:
     """A run's flight, its golden twin's, and the ways of the same fault in other arms.
 
-    Ways are by name: ``golden``, ``flight`` of a run without a fault, ``injected``, ``recovered``.
+    Ways are by name: ``golden``, and what :func:`run_data.called` calls a flight.
     """
 
     world: World
@@ -49,20 +49,20 @@ class Flights:
     travelled: Picture | None
 
 
-def read_flights(outcome: Outcome, kept: Recordings, beside: Sequence[Path]) -> Flights:
-    """Read the recordings; takes a second or two.
+def read_flights(outcome: Outcome, kept: Recordings, beside: Sequence[tuple[Outcome, Path]]) -> Flights:
+    """Read the recordings, also of the flights ``beside``; takes a second or two.
 
     :raises BadSpecError: if one of them cannot be read.
     """
     run = open_run(kept.flight)
     golden = open_run(kept.twin) if outcome.golden is not None else None
     messages, twin = run.flight, golden.flight if golden is not None else None
-    own = _kind(run.spec)
+    own = run_data.called(outcome)
     ways = {"golden": run_data.way(twin)} if twin is not None else {}
-    for file in beside:
-        other = open_run(file)
-        if own != "flight" and _fault(other.spec) == _fault(run.spec) and _kind(other.spec) not in ways:
-            ways[_kind(other.spec)] = run_data.way(other.flight)
+    for other, file in beside:
+        name = run_data.called(other)
+        if own != "flight" and _fault(other.spec) == _fault(run.spec) and name not in ways:
+            ways[name] = run_data.way(open_run(file).flight)
     ways[own] = run_data.way(messages)
     return Flights(
         world=make_world(outcome.spec.world, outcome.spec.seed),
@@ -72,15 +72,6 @@ def read_flights(outcome: Outcome, kept: Recordings, beside: Sequence[Path]) -> 
         own=own,
         travelled=picture(run, golden) if golden is not None else None,
     )
-
-
-_COLOURS = {"flight": GOLDEN, "golden": GOLDEN, "injected": INJECTED, "recovered": RECOVERED}
-
-
-def _kind(spec: MissionSpec) -> str:
-    if spec.fault is None:
-        return "flight"
-    return "recovered" if spec.detector is not None and spec.detector.recovery != "off" else "injected"
 
 
 def _fault(spec: MissionSpec) -> FaultSpec | None:
@@ -118,7 +109,7 @@ class _Views:
 
     def draw_places(self) -> None:
         """Slider, scene, plan."""
-        keys = {name: _COLOURS[name] for name in self._ways}
+        keys = {name: COLOURS[name] for name in self._ways}
         keys |= {one.name: one.colour for one in self._moments if one.name}
         legend(keys)
         with ui.element("div").classes("slide"):
@@ -134,7 +125,7 @@ class _Views:
                 self._scene = SceneView("The flights in three dimensions")
                 self._scene.draw_world(self._flights.world, around)
                 for name, one in self._ways.items():
-                    self._scene.draw_path(name, one.points.tolist(), _COLOURS[name])
+                    self._scene.draw_path(name, one.points.tolist(), COLOURS[name])
                 ui.label("Drag to turn, wheel or two fingers to come nearer.").classes("note")
             with ui.element("div").classes("panel"):
                 self._plan = PlanView(self._flights.world, "Plan view of the flights, north up", around)
@@ -144,7 +135,7 @@ class _Views:
     def _on_plan(self) -> list[str]:
         # The golden one last: its dashes lie on the others, and leave to be seen what lies below.
         drawn = [
-            path(self._ways[name].points.tolist(), _COLOURS[name], dashed=name == "golden")
+            path(self._ways[name].points.tolist(), COLOURS[name], dashed=name == "golden")
             for name in sorted(self._ways, key=lambda name: name == "golden")
         ]
         flown = self._ways[self._flights.own]
@@ -165,10 +156,10 @@ class _Views:
                 self._choose(chosen, first)
             if self._flights.twin is not None:
                 times, metres = run_data.apart(self._ways[self._flights.own], self._ways["golden"])
-                distance = Curve("distance", _COLOURS[self._flights.own], times, metres)
+                distance = Curve("distance", COLOURS[self._flights.own], times, metres)
                 self._chart("distance to the golden twin (m)", [distance])
             speeds = [
-                Curve(name, _COLOURS[name], one.times_s, one.speeds_m_s, dashed=name == "golden")
+                Curve(name, COLOURS[name], one.times_s, one.speeds_m_s, dashed=name == "golden")
                 for name, one in self._ways.items()
             ]
             self._chart("speed (m/s)", speeds)
@@ -215,8 +206,8 @@ class _Views:
         """Show this moment everywhere."""
         at = {name: one.at(time_s) for name, one in self._ways.items() if len(one.times_s)}
         for name, point in at.items():
-            self._scene.move(name, point.tolist(), _COLOURS[name])
-        self._plan.draw("now", *(vehicle(point.tolist(), _COLOURS[name]) for name, point in at.items()))
+            self._scene.move(name, point.tolist(), COLOURS[name])
+        self._plan.draw("now", *(vehicle(point.tolist(), COLOURS[name]) for name, point in at.items()))
         for chart in self._charts:
             chart.point_at(time_s)
         places = [f"{name} at ({x:.2f}, {y:.2f}, {z:.2f}) m" for name, (x, y, z) in at.items()]

@@ -188,9 +188,8 @@ class RunPage:
         if not needed:
             self._offer(outcome, recorded=kept.flight.is_file())
             return
-        files = (recordings(self._here, self._found, one.id).flight for one in others)
-        beside = [path for path in files if path.is_file()]
         try:
+            beside = await ask(self._beside, others)
             flights = await ask(read_flights, outcome, kept, beside)
         except REFUSED as error:
             trouble(str(error), "Record the run again to put another file in its place.")
@@ -199,6 +198,15 @@ class RunPage:
             )
             return
         flight_views(outcome, flights)
+
+    def _beside(self, others: list[Relative]) -> list[tuple[Outcome, Path]]:
+        """What became of the same flight in other arms that were recorded."""
+        files = {one.id: recordings(self._here, self._found, one.id).flight for one in others}
+        return [
+            (outcome, path)
+            for run, path in files.items()
+            if path.is_file() and (outcome := read_run(self._here, self._found, run).outcome) is not None
+        ]
 
     def _kept(self, outcome: Outcome) -> Recordings:
         """The recordings; of a golden twin that was not recorded, those of a run that flew the same."""
@@ -245,7 +253,11 @@ def _tail(path: Path) -> str:
 
 def _detector(stored: StoredRun) -> str:
     asked = stored.spec.detector
-    return "" if asked is None else f"{asked.scheme}, recovers {asked.recovery}, gate {asked.gate}"
+    return (
+        ""
+        if asked is None
+        else f"{asked.scheme}, recomputes: {asked.recovery.replace('_', ' and ')}, gate {asked.gate}"
+    )
 
 
 def _quality(outcome: Outcome) -> None:

@@ -10,7 +10,7 @@ from nicegui.elements.scene.objects.point_cloud import PointCloud
 from nicegui.elements.scene.objects.sphere import Sphere
 from numpy.typing import NDArray
 
-from dashboard.web.flight_style import GOLDEN, NEUTRAL, RECOVERED
+from dashboard.web.flight_style import GOLDEN, NEUTRAL, RECOMPUTED
 from services.bus.safety import BODY_RADIUS_M
 from sim.world import World
 
@@ -61,7 +61,7 @@ class SceneView:
                 top = min(z1, float(world.bounds[1, 2]))
                 box = scene.box(x1 - x0, y1 - y0, top - z0)
                 box.move((x0 + x1) / 2, (y0 + y1) / 2, (z0 + top) / 2).material("#6b7886", opacity=0.9)
-            for end, colour in ((world.start, RECOVERED), (world.goal, GOLDEN)):
+            for end, colour in ((world.start, RECOMPUTED), (world.goal, GOLDEN)):
                 x, y, z = end.tolist()
                 scene.sphere(BODY_RADIUS_M).move(x, y, z).material(colour, opacity=0.25)
         if around is not None and len(around):

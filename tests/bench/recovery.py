@@ -102,8 +102,8 @@ def struck(flights: int, schemes: Iterable[str]) -> None:
     lessons = load_lessons(LESSONS)
     largest = {name: max(float(np.abs(one[name]).max(initial=0)) for one in lessons) for name in lessons[0]}
     print(
-        "| detector | struck | beyond | found in flight | offline | success: golden, struck, recovered"
-        " | time over golden, mean: struck, recovered | worst | alarms before the fault |"
+        "| detector | struck | beyond | found in flight | offline | success: golden, struck, with detector"
+        " | time over golden, mean: struck, with detector | worst | alarms before the fault |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
     for scheme in schemes:

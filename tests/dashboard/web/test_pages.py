@@ -61,7 +61,7 @@ def test_a_campaign_is_started_from_the_form_and_watched_without_loading_again(
     page.get_by_label("name", exact=True).fill("browser")
     page.get_by_label("flights per arm and world").fill("2")
     page.get_by_label("mission ends after, s").fill("1")
-    page.get_by_label("detector that recovers").click()
+    page.get_by_label("detector that recomputes").click()
     page.get_by_role("option", name="gaussian").click()
     page.get_by_label("recordings to look through").click()
     page.get_by_role("option", name="of missions that failed").click()

@@ -31,12 +31,12 @@ def test_success_is_a_part_and_the_worst_is_beside_its_own_twin() -> None:
     assert worst(flown("bare", "planning", 11.0, 15.0)) == pytest.approx(50)
 
 
-def test_recovered_is_the_part_of_the_worst_delay_that_is_gone() -> None:
+def test_removed_is_the_part_of_the_worst_delay_that_is_gone() -> None:
     records = flown("bare", "planning", 11.0, 15.0) + flown("gaussian", "planning", 11.0, 12.0)
     found = {one.what: one.ours(records) for one in FINDINGS["table4"]}
     assert found["factory: longest flight over its golden twin (Fig. 12)"] == pytest.approx(50)
-    assert found["factory, gaussian: of that recovered (Fig. 12)"] == pytest.approx(60)
-    assert found["factory, autoencoder: of that recovered (Fig. 12)"] is None
+    assert found["factory, gaussian: of that delay removed (Fig. 12)"] == pytest.approx(60)
+    assert found["factory, autoencoder: of that delay removed (Fig. 12)"] is None
     assert found["farm, struck: success"] is None
 
 

@@ -1,11 +1,14 @@
 """What the page of a run draws, from real flights."""
 
+from typing import Literal
+
 import numpy as np
 import pytest
 
 from dashboard.web import run_data
 from deploy.forkserver import ForkServer
 from deploy.mission import Flight, fly
+from services.bus.detection import AlarmRecord, DetectionReport, DetectorSpec
 from services.bus.mission import FaultSpec, Limits, MissionSpec, Trigger
 from services.bus.states import STATES
 
@@ -66,3 +69,38 @@ def test_every_state_has_values_and_an_axis(golden: Flight) -> None:
         times, values = run_data.values(golden.messages, name)
         assert len(times) == len(values) == len(golden.messages[state.topic])
         assert run_data.quantity(name).endswith(")")
+
+
+@pytest.mark.parametrize(
+    ("alarms", "name"),
+    [
+        ([], "with detector"),
+        ([("published", True)], "with detector"),
+        ([("waypoint_dropped", True)], "with detector"),
+        ([("recomputed", False)], "with detector"),
+        ([("published", True), ("recomputed", True)], "recomputed"),
+    ],
+)
+def test_a_flight_is_called_recomputed_only_if_an_output_was_made_again_after_the_strike(
+    injected: Flight,
+    alarms: list[tuple[Literal["recomputed", "waypoint_dropped", "published"], bool]],
+    name: str,
+) -> None:
+    raised = [
+        AlarmRecord(
+            stage="control",
+            topic="command",
+            state="",
+            row=0,
+            score=2,
+            virtual_time_ns=1,
+            action=did,
+            true=true,
+        )
+        for did, true in alarms
+    ]
+    report = DetectionReport(alarms=raised, checks=9, detection_share=0, recomputation_share=0, ungated=0)
+    watched = injected.outcome.spec.model_copy(update={"detector": DetectorSpec(scheme="gaussian")})
+    outcome = injected.outcome.model_copy(update={"spec": watched, "detection": report})
+    assert run_data.called(outcome) == name
+    assert run_data.called(injected.outcome) == "injected"

@@ -24,13 +24,16 @@ SPEC = CampaignSpec(
     arms=(Arm(name="golden"), Arm(name="flip", fault=FAULT)),
 )
 WATCHED = {"detector": {"scheme": "gaussian"}}
+DEAF = {"detector": {"scheme": "gaussian", "recovery": "off"}}
 KEPT = SPEC.model_copy(
     update={
         "name": "kept",
         "arms": (
             *SPEC.arms,
             Arm(name="watched", mission=WATCHED),
-            Arm(name="recovered", mission=WATCHED, fault=FAULT),
+            Arm(name="recomputed", mission=WATCHED, fault=FAULT),
+            Arm(name="watched only", mission=DEAF, fault=FAULT),
+            Arm(name="unseen", mission=WATCHED, fault=FAULT.model_copy(update={"bit_numbers": (0,)})),
         ),
         "recording": Recording(keep="all"),
     }
@@ -118,16 +121,33 @@ def test_a_run_is_recorded_looked_through_replayed_and_taken_away(
 def test_a_run_of_a_campaign_that_keeps_recordings_is_drawn_at_once(
     service: Serving, looking: Looking, kept: dict[str, str]
 ) -> None:
-    page = looking.goto(service.address, kept["recovered"])
-    expect(page.locator(".now")).to_contain_text("recovered is 0.000 m from golden")
+    page = looking.goto(service.address, kept["recomputed"])
+    expect(page.locator(".now")).to_contain_text("recomputed is 0.000 m from golden")
     expect(page.get_by_role("button", name="Record", exact=True)).to_have_count(0)
     keys = page.locator(".legend").first.locator(".key")
-    assert keys.all_inner_texts() == ["golden", "injected", "recovered", "fault", "alarm"]
-    assert len(vehicles(page)) == 3
+    assert keys.all_inner_texts() == [
+        "golden",
+        "injected",
+        "with detector",
+        "recomputed",
+        "fault",
+        "alarm",
+    ]
+    assert len(vehicles(page)) == 4
     nodes, alarms = (page.get_by_role("region", name=name) for name in ("Nodes", "Alarms"))
     expect(nodes.locator("tr", has_text="control").locator("td").nth(-1)).not_to_have_text("0")
     expect(alarms.locator("tbody tr").first).to_contain_text("command.vx")
     expect(page.get_by_text("Nobody complained.")).to_be_visible()
+
+
+def test_a_flight_whose_detector_raised_no_alarm_is_called_what_it_is(
+    service: Serving, looking: Looking, kept: dict[str, str]
+) -> None:
+    page = looking.goto(service.address, kept["unseen"])
+    expect(page.locator(".now")).to_contain_text("with detector is 0.000 m from golden")
+    keys = page.locator(".legend").first.locator(".key")
+    assert keys.all_inner_texts() == ["golden", "with detector", "fault"]
+    assert "recover" not in page.locator("#content").inner_text()
 
 
 def test_another_state_is_drawn_when_it_is_chosen(
