@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 from urllib.parse import urlencode
 
@@ -12,7 +13,7 @@ from dashboard.campaigns.compare import Comparison
 from dashboard.campaigns.side_by_side import side_by_side
 from dashboard.campaigns.store import Campaign, UnknownCampaignError
 from dashboard.campaigns.summary import CellSummary, summary
-from dashboard.web import charts
+from dashboard.web import charts, history
 from dashboard.web.breakdown import draw
 from dashboard.web.frame import REFUSED, absent, ask, frame, nothing, plain, section, trouble
 from dashboard.web.quality import (
@@ -44,7 +45,11 @@ def register(here: Service) -> None:
             if not known:
                 nothing("No campaigns yet.", "There is nothing to compare.", ("Start one", "/new"))
                 return
-            await _Page(here, known).show(first or known[0], second, arm)
+            page = _Page(here, known)
+            chosen = first or known[0], second, arm
+            ui.navigate.history.replace(_address(*chosen))
+            await page.show(*chosen)
+            history.on_arrival(page.arrive)
 
 
 class _Page:
@@ -52,11 +57,23 @@ class _Page:
         self._here, self._known = here, known
         self._choice = ui.row().classes("filters")
         self._body = ui.column().classes("section parts")
+        self._shown = ("", "", "")
+
+    async def arrive(self, parameters: Mapping[str, str], _: object) -> None:
+        """Show what people have gone back or forward to."""
+        first, second, arm = (parameters.get(name, "") for name in ("first", "second", "arm"))
+        wanted = first or self._known[0], second, arm
+        if wanted != self._shown:
+            await self.show(*wanted)
+
+    async def _turn_to(self, first: str, second: str, arm: str) -> None:
+        """Show what people have chosen, as an entry of the browser's history."""
+        history.push(_address(first, second, arm))
+        await self.show(first, second, arm)
 
     async def show(self, first: str, second: str, arm: str) -> None:
         """One campaign beside another, an arm of its own, or its golden twins."""
-        chosen = {"first": first, **({"second": second} if second else {}), **({"arm": arm} if arm else {})}
-        ui.navigate.history.replace(f"/compare?{urlencode(chosen)}")
+        self._shown = first, second, arm
         self._body.clear()
         try:
             found = await ask(self._here.store.find, first)
@@ -91,14 +108,14 @@ class _Page:
         beside = f"arm {arm}" if arm else second or TWINS
 
         async def choose_first(event: Any) -> None:
-            await self.show(event.value, "", "")
+            await self._turn_to(event.value, "", "")
 
         async def choose_other(event: Any) -> None:
             value = str(event.value)
             if value in arms:
-                await self.show(first, "", value.removeprefix("arm "))
+                await self._turn_to(first, "", value.removeprefix("arm "))
             else:
-                await self.show(first, "" if value == TWINS else value, "")
+                await self._turn_to(first, "" if value == TWINS else value, "")
 
         with self._choice:
             labels = list(dict.fromkeys([first, *self._known]))
@@ -109,6 +126,11 @@ class _Page:
             ui.select(options, value=beside, label="beside", on_change=choose_other, with_input=True).props(
                 "outlined dense"
             ).classes("filter")
+
+
+def _address(first: str, second: str, arm: str) -> str:
+    chosen = {"first": first, "second": second, "arm": arm}
+    return f"/compare?{urlencode({name: one for name, one in chosen.items() if one})}"
 
 
 def _beside(compared: list[Comparison]) -> None:

@@ -176,13 +176,15 @@ def refusal(message: str) -> None:
     ui.notify(message, type="negative", position="top", timeout=10_000, close_button="Close", multi_line=True)
 
 
-async def confirmed(question: str, action: str) -> bool:
-    """Whether people mean it."""
+async def confirmed(question: str, action: str, about: str = "", color: str = "negative") -> bool:
+    """Whether people mean it; ``about`` says more, ``color`` is that of the button that does it."""
     with ui.dialog() as dialog, ui.card():
         ui.label(question)
+        if about:
+            ui.label(about).classes("note")
         with ui.row().classes("actions"):
             ui.button("Back", on_click=lambda: dialog.submit(False)).props("flat autofocus")
-            ui.button(action, on_click=lambda: dialog.submit(True), color="negative")
+            ui.button(action, on_click=lambda: dialog.submit(True), color=color)
     answer = await dialog
     dialog.delete()
     return bool(answer)

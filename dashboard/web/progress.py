@@ -15,6 +15,7 @@ from dashboard.campaigns.forecast import forecast
 from dashboard.campaigns.listing import CampaignLine
 from dashboard.campaigns.spec import CampaignSpec
 from dashboard.campaigns.store import Campaign
+from dashboard.tables import forecast as in_words
 from dashboard.web.frame import ask, confirmed, told
 
 ACTIONS: dict[str, Callable[[Service, Campaign], object]] = {
@@ -115,16 +116,24 @@ class Actions:
         return button.props(f'aria-label="{name}"').tooltip(name)
 
     async def _act(self, name: str) -> None:
+        if name == "clone":
+            await self._clone()
+            return
         question = ASKED.get(name)
         if question is not None and not await confirmed(
             question.format(label=self._label), name.capitalize()
         ):
             return
         found = await ask(self._here.store.find, self._label)
-        if name == "clone":
-            made = await ask(api.create, self._here, found.spec, None, Response())
-            ui.navigate.to(f"/campaigns/{made.label}")
-            return
         await ask(ACTIONS[name], self._here, found)
         if name == "delete":
             self._deleted()
+
+    async def _clone(self) -> None:
+        """Fly the same again, once people have seen what that is."""
+        spec = (await ask(self._here.store.find, self._label)).spec
+        plan = await ask(forecast, spec, self._here.store, len(os.sched_getaffinity(0)))
+        question = f"Fly {self._label} again, as a new campaign?"
+        if await confirmed(question, "Fly", in_words(spec.name, plan), "primary"):
+            made = await ask(api.create, self._here, spec, None, Response())
+            ui.navigate.to(f"/campaigns/{made.label}")

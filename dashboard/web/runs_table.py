@@ -14,6 +14,7 @@ from dashboard.campaigns.listing import Order, RunLine, RunPage, RunQuery, run_p
 from dashboard.campaigns.spec import cells
 from dashboard.campaigns.states import RunPhase
 from dashboard.campaigns.store import Campaign
+from dashboard.web import history
 from dashboard.web.breakdown import fill
 from dashboard.web.frame import ask, told
 from dashboard.web.views import Watched
@@ -55,6 +56,7 @@ class RunsTable:
     def __init__(self, here: Service, found: Campaign, watched: Watched, query: RunQuery) -> None:
         self._here, self._found, self._watched, self._query = here, found, watched, query
         self._before: list[str | None] = []
+        self._filters: dict[str, ui.select] = {}
         order = cells(found.spec)
         self._choices: dict[str, list[str]] = {
             "arm": list(dict.fromkeys(cell.arm for cell in order)),
@@ -80,6 +82,7 @@ class RunsTable:
             self._on = ui.button("Next", on_click=told(self._go_on)).props("flat no-caps")
             self._count = ui.label().classes("note").props('role="status"')
         self._page: RunPage | None = None
+        history.on_arrival(self._arrive)
 
     async def refresh(self) -> None:
         """What runs that have ended since have changed."""
@@ -120,9 +123,10 @@ class RunsTable:
         label = dict(COLUMNS)[name]
 
         async def choose(event: Any) -> None:
-            await self._ask(**{name: event.value})
+            if event.value != getattr(self._query, name):  # else it follows the address
+                await self._ask(**{name: event.value})
 
-        select = ui.select(
+        select = self._filters[name] = ui.select(
             choices, label=label, value=getattr(self._query, name), clearable=True, on_change=told(choose)
         )
         select.props("dense outlined options-dense").classes("filter")
@@ -142,28 +146,44 @@ class RunsTable:
         self._descending.set_value(bool(wanted["descending"]))
 
     async def _sort_by(self) -> None:
-        await self._ask(sort=self._sorted.value, descending=self._descending.value)
-        self._table.pagination = self._order()
+        order = self._sorted.value, self._descending.value
+        if order != (self._query.sort, self._query.descending):  # else it follows the address
+            await self._ask(sort=order[0], descending=order[1])
+            self._table.pagination = self._order()
 
     async def _ask(self, **changes: object) -> None:
-        self._before.clear()
-        await self._turn_to(**changes, after=None)
+        await self._turn_to([], **changes, after=None)
 
     async def _go_on(self) -> None:
         if self._page is not None and self._page.next is not None:
-            self._before.append(self._query.after)
-            await self._turn_to(after=self._page.next)
+            await self._turn_to([*self._before, self._query.after], after=self._page.next)
 
     async def _go_back(self) -> None:
-        await self._turn_to(after=self._before.pop() if self._before else None)
+        *before, after = self._before or [None]
+        await self._turn_to(before, after=after)
 
-    async def _turn_to(self, **changes: object) -> None:
+    async def _arrive(self, parameters: Mapping[str, str], kept: Any) -> None:
+        """Show what people have gone back or forward to; ``kept`` are the pages before it."""
+        self._before = kept if isinstance(kept, list) else []
+        query = asked(parameters)
+        if query == self._query:
+            return
+        self._query = query
+        for name, select in self._filters.items():
+            select.set_value(getattr(query, name))
+        self._sorted.set_value(query.sort)
+        self._descending.set_value(query.descending)
+        self._table.pagination = self._order()
+        self._show(await ask(run_page, self._here.store, self._found, query))
+
+    async def _turn_to(self, before: list[str | None], **changes: object) -> None:
+        """Show other runs, as an entry of the browser's history; ``before``: the pages before these."""
+        self._before = before
         self._query = RunQuery.model_validate(self._query.model_dump() | changes)
         chosen = self._query.model_dump(mode="json", exclude_defaults=True, exclude={"limit"})
         if self._query.limit != PAGE:
             chosen["limit"] = self._query.limit
-        address = f"/campaigns/{self._found.label}"
-        ui.navigate.history.replace(f"{address}?{urlencode(chosen)}#runs" if chosen else address)
+        history.push(f"/campaigns/{self._found.label}?{urlencode(chosen)}#runs", before)
         self._show(await ask(run_page, self._here.store, self._found, self._query))
 
     def _row(self, run: RunLine) -> dict[str, object]:

@@ -121,6 +121,56 @@ def test_what_the_table_of_runs_shows_stands_in_the_address(
     assert re.fullmatch(rf"/campaigns/{short}/runs/\d+", href)
 
 
+def test_back_undoes_sorting_and_paging_and_comes_back_from_a_run(
+    service: Serving, looking: Looking, short: str
+) -> None:
+    page = looking.goto(service.address)
+    page.get_by_role("link", name=short, exact=True).click()
+    page.wait_for_url(f"**/campaigns/{short}")
+    page = looking.goto(service.address, f"/campaigns/{short}?limit=3")
+
+    def expect_rows(count: int, seeds: list[str], *, largest_first: bool) -> None:
+        cells = page.locator(".runs tbody tr")
+        expect(cells).to_have_count(count)
+        expect(cells.locator("td:nth-child(3)")).to_have_text(seeds)
+        sorted_by = page.get_by_label("largest first")
+        expect(sorted_by).to_be_checked(checked=largest_first)
+        assert f"/campaigns/{short}?" in page.url
+
+    page.locator(".runs th").filter(has_text="seed").click()
+    expect_rows(3, ["0", "0", "1"], largest_first=False)
+    page.get_by_label("largest first").click()
+    expect_rows(3, ["3", "3", "2"], largest_first=True)
+    page.get_by_role("button", name="Next").click()
+    expect_rows(3, ["2", "1", "1"], largest_first=True)
+    page.get_by_role("button", name="Next").click()
+    expect_rows(2, ["0", "0"], largest_first=True)
+
+    page.locator(".runs tbody a").first.click()
+    page.wait_for_url("**/runs/*")
+    page.go_back()
+    expect_rows(2, ["0", "0"], largest_first=True)
+    page.get_by_role("button", name="Previous").click()
+    expect_rows(3, ["2", "1", "1"], largest_first=True)
+    for count, seeds, largest_first in (
+        (2, ["0", "0"], True),
+        (3, ["2", "1", "1"], True),
+        (3, ["3", "3", "2"], True),
+        (3, ["0", "0", "1"], False),
+    ):
+        page.go_back()
+        expect_rows(count, seeds, largest_first=largest_first)
+    page.go_back()
+    expect(page.get_by_role("combobox", name="sorted by")).to_have_value("run")
+    assert page.url == f"{service.address}/campaigns/{short}?limit=3"
+    page.go_forward()
+    expect(page.get_by_role("combobox", name="sorted by")).to_have_value("seed")
+    assert "sort=seed" in page.url
+    page.go_back()
+    page.go_back()
+    page.wait_for_url(f"{service.address}/campaigns/{short}")
+
+
 def test_a_dot_opens_its_flight_and_the_map_of_bits_shows_what_one_asks_for(
     service: Serving, looking: Looking, short: str
 ) -> None:
@@ -163,7 +213,16 @@ def test_a_campaign_is_paused_resumed_and_cloned(
     expect(steering.get_by_role("button", name="pause")).to_be_hidden()
     steering.get_by_role("button", name="resume").click()
     expect(phase).to_have_text("running")
+    campaigns = [line.campaign for line in client.campaigns()]
     steering.get_by_role("button", name="clone").click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_contain_text(f"Fly {long} again, as a new campaign?")
+    expect(dialog).to_contain_text("long: 4000 flights in 2 cells")
+    dialog.get_by_role("button", name="Back").click()
+    expect(page.locator(".q-dialog")).to_have_count(0)
+    assert [line.campaign for line in client.campaigns()] == campaigns
+    steering.get_by_role("button", name="clone").click()
+    dialog.get_by_role("button", name="Fly", exact=True).click()
     page.wait_for_url(lambda url: "/campaigns/long-" in url and not url.endswith(long))
 
     # It waits for the other: it can be made to wait longer, and to go on is nothing to ask for.
@@ -294,6 +353,9 @@ def test_two_arms_and_two_campaigns_are_compared(
     page.get_by_role("option", name="arm golden").click()
     expect(page.get_by_text("Beside golden", exact=True)).to_be_visible()
     assert "arm=golden" in page.url
+    page.go_back()
+    expect(page.get_by_text(f"Beside {again}")).to_be_visible()
+    assert f"second={again}" in page.url
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
