@@ -50,7 +50,7 @@ def test_the_page_goes_on_to_the_next_flight_while_a_campaign_flies(
         page = looking.goto(service.address, path)
         first = shown_run(page)
         expect(page.get_by_role("heading", name=re.compile(rf", run {first}$"))).to_have_count(0)
-        assert shown_run(page) > first
+        assert shown_run(page) != first
         expect(page.locator(".scene canvas")).to_have_count(1)
         assert page.url == service.address + path
 
@@ -73,7 +73,7 @@ def test_a_run_that_the_address_names_stays_and_is_said_to_have_ended(
         assert run in others
     links.get_by_role("link", name="Live flights").click()
     page.wait_for_url(f"{service.address}/live")
-    assert shown_run(page) > run
+    assert shown_run(page) != run
 
 
 def test_of_flights_that_are_not_there_the_answer_is_404(
