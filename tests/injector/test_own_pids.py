@@ -11,6 +11,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 NOBODY = 65534
+LOADER_FAILED = 127
+"""Exit status of ld.so(8) if it cannot read a library, as that of a Python copied from a closed folder."""
 
 TELLING = """
 import os, sys
@@ -48,7 +50,11 @@ os._exit(0)
 
 
 def tell(user: int | None, cache: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
+    """What ``TELLING`` tells.
+
+    :raises PermissionError: if the user may not run this Python.
+    """
+    told = subprocess.run(
         [sys.executable, "-B", "-c", TELLING],
         env={"PYTHONPATH": f"{ROOT}:{os.pathsep.join(sys.path)}", "NUMBA_CACHE_DIR": str(cache)},
         cwd="/",
@@ -59,6 +65,9 @@ def tell(user: int | None, cache: Path) -> subprocess.CompletedProcess[str]:
         group=user,
         extra_groups=None if user is None else [],
     )
+    if told.returncode == LOADER_FAILED:
+        raise PermissionError(told.stderr)
+    return told
 
 
 @pytest.mark.parametrize("user", [None, NOBODY])
