@@ -21,7 +21,20 @@ def memory(pid: int, *, stack: bool = True) -> Memory:
     return found
 
 
-def different(one: Memory, other: Memory) -> set[int]:
-    """The addresses of the words that are not the same."""
+def different(one: Memory, other: Memory, *, numbers: bool = True) -> set[int]:
+    """The addresses of the words that are not the same; without those that hold text of numbers, if need be.
+
+    Such text is what a process read last about itself: its pid and times, and all behind them, which a
+    digit more or less moves.
+    """
     assert {at: len(words) for at, words in one.items()} == {at: len(words) for at, words in other.items()}
-    return {at + 8 * int(word) for at, words in one.items() for word in np.flatnonzero(words != other[at])}
+    found: dict[int, tuple[np.uint64, np.uint64]] = {}
+    for at, words in one.items():
+        found |= {
+            at + 8 * int(word): (words[word], other[at][word]) for word in np.flatnonzero(words != other[at])
+        }
+    return {at for at, both in found.items() if numbers or not all(_of_numbers(word) for word in both)}
+
+
+def _of_numbers(word: np.uint64) -> bool:
+    return set(word.tobytes()) <= set(b"0123456789 \t\n\0")

@@ -37,8 +37,9 @@ def test_a_server_that_had_to_compile_has_the_memory_of_the_others() -> None:
             memories.append(memory(server.pid))
     compiled, second, third = memories
     # Pids and times are in the same places of any two.
-    assert len(different(second, third)) < 200
-    assert len(different(compiled, second) - different(second, third)) < 40
+    alike = different(second, third, numbers=False)
+    assert len(alike) < 200
+    assert len(different(compiled, second, numbers=False) - alike) < 40
 
 
 def test_what_a_server_has_forked_leaves_no_trace_in_its_memory() -> None:
