@@ -42,8 +42,12 @@ class SqliteDatabase(Database):
             try:
                 self.upgrade()
             except sa.exc.DBAPIError as error:
+                self.close()
                 message = f"store {path}: {error.orig}"
                 raise BadSpecError(message) from error
+            except BadSpecError:
+                self.close()
+                raise
 
     def limit(self, disk_mb: int) -> None:
         """Let the file grow to ``disk_mb`` and no further."""
