@@ -11,6 +11,7 @@ from dashboard.campaigns.listing import RunQuery
 from dashboard.campaigns.spec import Arm, CampaignSpec
 from dashboard.client import Client
 from services.bus.mission import Limits, MissionSpec
+from tests.conftest import wait_until
 from tests.dashboard.api.conftest import PATIENCE_S, Serving
 from tests.dashboard.web.conftest import Looking
 
@@ -34,6 +35,8 @@ def flying(client: Client) -> Iterator[str]:
     label = client.create(spec).campaign
     yield label
     client.steer(label, "cancel")
+    # Its last flight may still be under way, and would be shown to the next test.
+    wait_until(lambda: all(one.campaign != label for one in client.processes().service), PATIENCE_S)
 
 
 def shown_run(page: Page) -> int:
