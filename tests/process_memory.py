@@ -37,4 +37,7 @@ def different(one: Memory, other: Memory, *, numbers: bool = True) -> set[int]:
 
 
 def _of_numbers(word: np.uint64) -> bool:
-    return set(word.tobytes()) <= set(b"0123456789 \t\n\0")
+    """Whether a word is text of numbers: two digits at least, or small integers would count as such."""
+    content = word.tobytes()
+    digits = sum(byte in b"0123456789" for byte in content)
+    return digits >= 2 and set(content) <= set(b"0123456789 \t\n\0")
