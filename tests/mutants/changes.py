@@ -1,0 +1,506 @@
+"""The list: each change is one that a person could make by mistake and that a user would suffer from."""
+
+from typing import NamedTuple
+
+
+class Mutant(NamedTuple):
+    """``old``, which is in the file exactly once, becomes ``new``; one of ``tests`` must fail then."""
+
+    name: str
+    path: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+def _of(path: str, tests: str, *changes: tuple[str, str, str]) -> list[Mutant]:
+    """Changes of one file that the same tests (separated by spaces) must notice."""
+    return [Mutant(name, path, old, new, tuple(tests.split())) for name, old, new in changes]
+
+
+MUTANTS: list[Mutant] = [
+    *_of(
+        "services/bus/horizon.py",
+        "tests/services/bus/test_horizon.py",
+        (
+            "horizon: promises one message early",
+            "self._promises[0][0] <= self._next_seq:",
+            "self._promises[0][0] <= self._next_seq + 1:",
+        ),
+        (
+            "horizon: a trigger at the moment the stage is free waits",
+            "if head.ready_ns >= busy_until_ns:",
+            "if head.ready_ns > busy_until_ns:",
+        ),
+        (
+            "horizon: a busy stage does not wait for triggers of its last moment",
+            "if trigger.horizon_ns > busy_until_ns else None",
+            "if trigger.horizon_ns >= busy_until_ns else None",
+        ),
+        ("horizon: a promise before the stage is free", "return max(busy_until_ns, start)", "return start"),
+        (
+            "horizon: a promise knows no message that is here",
+            "start = trigger.head.ready_ns if trigger.head is not None else trigger.horizon_ns",
+            "start = trigger.horizon_ns",
+        ),
+        (
+            "horizon: inclusive means before",
+            "limit = until_ns + 1 if inclusive else until_ns",
+            "limit = until_ns",
+        ),
+        (
+            "horizon: an old promise takes back a newer one",
+            "self._horizon_ns = max(self._horizon_ns, self._promises.popleft()[1])",
+            "self._horizon_ns = self._promises.popleft()[1]",
+        ),
+        (
+            "horizon: a restarted stage misses the message of its first moment",
+            "if successor.ready_ns >= self._ignore_before_ns:",
+            "if successor.ready_ns > self._ignore_before_ns:",
+        ),
+        (
+            "horizon: a doubled early message is not counted",
+            "if message.seq < self._next_seq or message.seq in self._early:",
+            "if message.seq < self._next_seq:",
+        ),
+    ),
+    *_of(
+        "deploy/recording/recorder.py",
+        "tests/deploy/recording/test_recorder.py",
+        (
+            "recorder: the digest ignores when a message is ready",
+            "hashlib.blake2b(stamp + message.payload,",
+            "hashlib.blake2b(message.payload,",
+        ),
+        (
+            "recorder: the digest ignores the topic",
+            "whole.update(topic.encode())",
+            "whole.update(b'')",
+        ),
+        (
+            "recorder: what is ready at the end is left out",
+            "[message for message in history if message.ready_ns <= end_ns]",
+            "[message for message in history if message.ready_ns < end_ns]",
+        ),
+        (
+            "recorder: complete before the end's last moment is promised",
+            "all(channel.horizon_ns > end_ns for",
+            "all(channel.horizon_ns >= end_ns for",
+        ),
+        (
+            "recorder: one silent topic completes a flight",
+            "return all(channel.horizon_ns > end_ns",
+            "return any(channel.horizon_ns > end_ns",
+        ),
+        ("recorder: a new life begins within the old one", "return max(ends)", "return min(ends)"),
+        (
+            "recorder: a new life misses the latched message",
+            'start[topic.name] = max(first - 1, 0) if topic.qos == "latched" else first',
+            "start[topic.name] = first",
+        ),
+        (
+            "recorder: a new life misses the message of its first moment",
+            "bisect.bisect_left(history",
+            "bisect.bisect_right(history",
+        ),
+        (
+            "recorder: a divergence is told at the later of two times",
+            "min(times[number], twin_times[number])",
+            "max(times[number], twin_times[number])",
+        ),
+        (
+            "recorder: an older promise replaces a newer one",
+            "if message.serial > self._serials[stage]:",
+            "if message.serial != self._serials[stage]:",
+        ),
+        (
+            "recorder: messages of an old sequence number are not counted as refused",
+            "return self.malformed + sum(channel.duplicates for channel in self._channels.values())",
+            "return self.malformed",
+        ),
+        (
+            "recorder: the flight's horizon is that of the fastest topic",
+            "return min(channel.horizon_ns for channel in self._channels.values())",
+            "return max(channel.horizon_ns for channel in self._channels.values())",
+        ),
+        (
+            "recorder: a late subscriber misses the message it asks for",
+            "return self._history[topic][seq:]",
+            "return self._history[topic][seq + 1 :]",
+        ),
+    ),
+    *_of(
+        "deploy/recording/ordering.py",
+        "tests/deploy/recording/test_ordering.py",
+        (
+            "recorder: messages of one instant come in any order of topics",
+            "(one.message.ready_ns, _PLACE[one.topic], one.message.seq)",
+            "(one.message.ready_ns, one.message.seq)",
+        ),
+        (
+            "recorder: nothing is held back for events",
+            "self._recorder.horizon_ns - self._hold_ns",
+            "self._recorder.horizon_ns",
+        ),
+    ),
+    *_of(
+        "dashboard/api/security.py",
+        "tests/dashboard/api/test_security.py",
+        (
+            "security: WebSockets need no token",
+            'if self._token and scope["path"] not in OPEN:',
+            'if self._token and scope["type"] == "http" and scope["path"] not in OPEN:',
+        ),
+        ("security: the group may read the token's file", "if mode & 0o077:", "if mode & 0o007:"),
+        ("security: others may read the token's file", "if mode & 0o077:", "if mode & 0o070:"),
+        (
+            "security: any token is the token",
+            "return hmac.compare_digest(_hash(token), hashed)",
+            "return bool(token)",
+        ),
+        (
+            "security: pages of another port are ours",
+            "urlsplit(origin).netloc != host:",
+            "urlsplit(origin).hostname != urlsplit(f'//{host}').hostname:",
+        ),
+        (
+            "security: on loopback any Host is answered",
+            "if self._loopback and not is_loopback(",
+            "if not self._loopback and not is_loopback(",
+        ),
+        (
+            "security: the token as a password will do",
+            'if scheme.lower() != "bearer":',
+            'if scheme.lower() not in ("bearer", "basic"):',
+        ),
+        (
+            "security: the token itself is stored",
+            'file.write(_hash(token) + "\\n")',
+            'file.write(token + "\\n")',
+        ),
+        (
+            "security: others may read a new token",
+            "os.fchmod(descriptor, 0o600)",
+            "os.fchmod(descriptor, 0o640)",
+        ),
+        (
+            "security: a browser's cookie is not looked at",
+            'token = HTTPConnection(scope).cookies.get(COOKIE, "")',
+            'token = ""',
+        ),
+        (
+            "security: metrics need no token",
+            'OPEN = ("/health", "/ready", "/login", "/favicon.ico")',
+            'OPEN = ("/health", "/ready", "/login", "/favicon.ico", "/metrics")',
+        ),
+        (
+            "security: a body without a length may be of any size",
+            "            if got > self._most:",
+            "            if False:",
+        ),
+        (
+            "security: the length that a body tells is not looked at, nor the body counted",
+            "if told.isdecimal() and int(told) > self._most:",
+            "await self._app(scope, receive, send)\n        if True:\n            return\n        if False:",
+        ),
+    ),
+    *_of(
+        "dashboard/campaigns/scheduler.py",
+        "tests/dashboard/campaigns/test_scheduler.py",
+        (
+            "scheduler: an outcome is written under a stale lease",
+            "if isinstance(report.event, Flown) and moved and report.outcome is not None:",
+            "if isinstance(report.event, Flown) and report.outcome is not None:",
+        ),
+        (
+            "scheduler: every flight counts as a success",
+            "self._rule.add(run.cell, run.index, success=outcome.qof.success)",
+            "self._rule.add(run.cell, run.index, success=True)",
+        ),
+        (
+            "scheduler: a run more than the look needs",
+            "and run.index < self._rule.released:",
+            "and run.index <= self._rule.released:",
+        ),
+        (
+            "scheduler: a lost run is not flown again",
+            "            self._queue.appendleft(again)",
+            "            pass",
+        ),
+        (
+            "scheduler: a worker whose lease is lost keeps its slot",
+            "            self._executor.drop(lease)",
+            "            pass",
+        ),
+        (
+            "scheduler: runs of one twin go to several workers",
+            "twins.setdefault(run.twin.model_dump_json(), []).append(index)",
+            "twins.setdefault(str(index), []).append(index)",
+        ),
+    ),
+    *_of(
+        "dashboard/campaigns/state_machine.py",
+        "tests/dashboard/campaigns/test_state_machine.py",
+        (
+            "scheduler: what is reported twice is taken twice",
+            "(run in held.runs and self._runs[run].phase == phase)",
+            "self._runs[run].phase == phase",
+        ),
+        (
+            "scheduler: one attempt more than allowed",
+            "state.attempts >= self._attempts",
+            "state.attempts > self._attempts",
+        ),
+        ("scheduler: leases never end", "if held.until_s < now_s]", "if held.until_s < now_s - 1e9]"),
+        (
+            "scheduler: a sign of life does not prolong a lease",
+            "self._leases[lease].until_s = until_s",
+            "pass",
+        ),
+        (
+            "scheduler: an interruption costs an attempt",
+            'attempts = run.attempts - (run.phase == "running")',
+            "attempts = run.attempts",
+        ),
+        (
+            "scheduler: a campaign with a failed run is done",
+            'self.phase = "failed" if self.count("failed") else "done"',
+            'self.phase = "done"',
+        ),
+        (
+            "scheduler: a run fails when its worker is lost for the first time",
+            'spent = state.phase == "running" and state.attempts >= self._attempts',
+            'spent = state.phase == "running"',
+        ),
+    ),
+    *_of(
+        "dashboard/campaigns/stopping.py",
+        "tests/dashboard/campaigns/test_scheduler.py",
+        (
+            "scheduler: flights beyond a look sway it",
+            "self._flown[cell].items() if number < self.released]",
+            "self._flown[cell].items()]",
+        ),
+        (
+            "scheduler: looks do not share the error",
+            "level = 1 - ERROR / len(self._looks)",
+            "level = 1 - ERROR",
+        ),
+        (
+            "scheduler: the margin is that of both sides",
+            ".width <= 2 * self._margin",
+            ".width <= self._margin",
+        ),
+    ),
+    *_of(
+        "services/perception/collision.py",
+        "tests/services/perception/test_collision.py",
+        (
+            "collision: the body is short of half a voxel",
+            "reach = 0.5 * (height_m + resolution_m)",
+            "reach = 0.5 * height_m",
+        ),
+        (
+            "collision: the body is thinner by half a voxel",
+            "if (x - body[0]) ** 2 + (y - body[1]) ** 2 > radius**2:",
+            "if (x - body[0]) ** 2 + (y - body[1]) ** 2 > (radius - 0.5 * resolution) ** 2:",
+        ),
+        (
+            "collision: a vehicle too close can never leave",
+            "or (was_near and abs(z - before[2]) <= reach):",
+            "or (was_near and False):",
+        ),
+        (
+            "collision: time since midnight",
+            "float(times[struck.argmax()] - now_s)",
+            "float(times[struck.argmax()])",
+        ),
+        (
+            "collision: the last voxel instead of the first",
+            "times[struck.argmax()]",
+            "times[struck.nonzero()[0][-1]]",
+        ),
+        ("collision: counted in every frame", "elif self._known != trajectory_seq:", "else:"),
+        (
+            "collision: a restarted counter begins again",
+            "self.future_collision_seq = max(self.future_collision_seq, answered)",
+            "pass",
+        ),
+        ("collision: steps wider than a voxel", "steps = int(2.0 * length / resolution_m) + 1", "steps = 1"),
+        (
+            "collision: what was flown already is swept again",
+            "begin = (now_s - t0) / (t1 - t0) if t0 < now_s else 0.0",
+            "begin = 0.0",
+        ),
+    ),
+    *_of(
+        "services/control/pid.py",
+        "tests/services/control/test_pid.py",
+        ("pid: yaw gain halved", "_YAW_PROPORTIONAL = 2.0", "_YAW_PROPORTIONAL = 1.0"),
+        ("pid: position gain halved", "_PROPORTIONAL = 1.2", "_PROPORTIONAL = 0.6"),
+        ("pid: no derivative part", "_DERIVATIVE = 0.15", "_DERIVATIVE = 0.0"),
+        ("pid: integral gain halved", "_INTEGRAL = 0.1 ", "_INTEGRAL = 0.05 "),
+        ("pid: the integral winds up", "_INTEGRAL_LIMIT_M_S = 2.0", "_INTEGRAL_LIMIT_M_S = 200.0"),
+        ("pid: turns twice as fast", "= math.radians(90.0)", "= math.radians(180.0)"),
+        ("pid: turns the long way", "(end - start + math.pi) % (2.0 * math.pi) - math.pi", "end - start"),
+        ("pid: stops too late", "+ 0.5 * duration * velocity[axis]", "+ duration * velocity[axis]"),
+        (
+            "pid: level speed is limited by axis",
+            "command[:2] *= SPEED_LIMIT_M_S / speed",
+            "command[0], command[1] = _clip(command[0], SPEED_LIMIT_M_S), _clip(command[1], SPEED_LIMIT_M_S)",
+        ),
+    ),
+    *_of(
+        "services/control/follower.py",
+        "tests/services/control/test_follower.py",
+        ("pid: a stop keeps the integral", "            self.state[:] = 0.0\n", ""),
+        ("pid: a skipped waypoint leaves its integral", "        self.state[:] = self._before\n", ""),
+        (
+            "pid: brakes for a collision of another trajectory",
+            "if near and self._collision_on == self._followed_seq:",
+            "if near:",
+        ),
+        (
+            "pid: flies a trajectory that is older than the collision",
+            "if future_collision_seq < self._collisions or trajectory_seq",
+            "if trajectory_seq",
+        ),
+    ),
+    *_of(
+        "services/runtime/recovery.py",
+        "tests/services/runtime/test_recovery.py",
+        (
+            "recovery: one retry more",
+            "for _ in range(self._spec.retries if",
+            "for _ in range(self._spec.retries + 1 if",
+        ),
+        ("recovery: a dead detector is asked again", "            self._dead = True\n", ""),
+        ("recovery: a repetition is not counted", '            self._stage.count("recomputed")\n', ""),
+        ("recovery: a repetition costs no time", "cost_ns=self._stage.now_ns - alarmed_ns", "cost_ns=0"),
+        (
+            "recovery: perception recovers, too",
+            '"planning_control": ("planning", "control")',
+            '"planning_control": ("perception", "planning", "control")',
+        ),
+        (
+            "recovery: the last alarm is not told",
+            '            self._tell(topic, found, "published", self._stage.now_ns)\n            self._fresh',
+            "            self._fresh",
+        ),
+        (
+            "recovery: the time of a check does not pass",
+            "        self._stage.elapse_check(self._checks)\n",
+            "",
+        ),
+        (
+            "recovery: an alarm after publishing drops nothing",
+            "drops = self._recovers and judged.before_again is not None",
+            "drops = False",
+        ),
+    ),
+    *_of(
+        "services/models/fault_model.py",
+        "tests/services/models/test_fault_model.py",
+        ("fault: a flip only sets", "return value ^ mask", "return value | mask"),
+        (
+            "fault: stuck at the other value",
+            "value | mask if fault.stuck_value else value & ~mask",
+            "value & ~mask if fault.stuck_value else value | mask",
+        ),
+        (
+            "fault: the exponent has the sign",
+            '"exponent": (mantissa, element_bits - 1)',
+            '"exponent": (mantissa, element_bits)',
+        ),
+        ("fault: the mantissa lacks a bit", "{32: 23, 64: 52}", "{32: 22, 64: 51}"),
+        ("fault: a bit is drawn twice", "size=fault.bits, replace=False", "size=fault.bits, replace=True"),
+        (
+            "fault: bits that the operand lacks",
+            "if set(fault.bit_numbers) <= set(every) else []",
+            "if every else []",
+        ),
+        (
+            "fault: the first number only",
+            "for lane in range(0, width_bits, element_bits)",
+            "for lane in (0,)",
+        ),
+        (
+            "fault: an operand with just enough bits is passed over",
+            "len(bits) >= fault.bits]",
+            "len(bits) > fault.bits]",
+        ),
+    ),
+    *_of(
+        "services/runtime/source_fault.py",
+        "tests/services/runtime/test_source_fault.py",
+        ("fault: at source level it strikes again", "        self._done = True\n", ""),
+        (
+            "fault: a point that is not there",
+            "if points <= (fault.point or 0):",
+            "if points < (fault.point or 0):",
+        ),
+        (
+            "fault: the record names another message",
+            '"invocation": number, "virtual_time_ns"',
+            '"invocation": number + 1, "virtual_time_ns"',
+        ),
+    ),
+    *_of(
+        "dashboard/campaigns/statistics/proportions.py",
+        "tests/dashboard/campaigns/statistics/test_proportions.py"
+        " tests/dashboard/campaigns/statistics/test_against_statsmodels.py"
+        " tests/dashboard/campaigns/statistics/test_medians.py",
+        ("statistics: wilson too narrow", "+ z2 / (4 * trials)) / trials)", "+ z2 / (8 * trials)) / trials)"),
+        ("statistics: one-sided level", "norm.ppf((1 + level) / 2)", "norm.ppf(level)"),
+        ("statistics: holm without its steps", "np.maximum.accumulate(steps)", "steps"),
+        ("statistics: bonferroni for holm", "np.arange(len(values), 0, -1)", "len(values)"),
+        (
+            "statistics: mcnemar counts all pairs",
+            "discordant = pairs.first_only + pairs.second_only",
+            "discordant = sum(pairs)",
+        ),
+        (
+            "statistics: paired difference without continuity",
+            "agreement = max(agreement - n / 2, 0.0)",
+            "agreement = max(agreement, 0.0)",
+        ),
+        ("statistics: paired samples as if independent", "a * a - 2 * phi * a * b + b * b", "a * a + b * b"),
+        (
+            "statistics: the median's interval is too narrow",
+            "ordered[outer - 1], ordered[-outer]",
+            "ordered[outer], ordered[-outer - 1]",
+        ),
+        (
+            "statistics: without trials nothing is known",
+            "EVERYTHING = Interval(0.0, 1.0)",
+            "EVERYTHING = Interval(0.0, 0.0)",
+        ),
+    ),
+    *_of(
+        "dashboard/campaigns/statistics/sampling.py",
+        "tests/dashboard/campaigns/statistics/test_sampling.py",
+        ("statistics: weights do not cost any sample", "w.sum() ** 2 / (w @ w)", "float(len(w))"),
+        ("statistics: variances weighted once", "variance += share**2 *", "variance += share *"),
+        (
+            "statistics: a stratum without flights",
+            "[int(count) + 1 for count in counts]",
+            "[int(count) for count in counts]",
+        ),
+        ("statistics: infinite population", "(1 + (population - 1) / infinite)", "(1 + 0 / infinite)"),
+        (
+            "statistics: power is not looked at",
+            "spread = float(norm.ppf(power))",
+            "spread = float(norm.ppf(0.5))",
+        ),
+    ),
+    *_of(
+        "dashboard/campaigns/statistics/differences.py",
+        "tests/dashboard/campaigns/statistics/test_differences.py",
+        (
+            "statistics: the bootstrap is another one each time",
+            "rng=rng.generator(seed, f",
+            "rng=rng.generator(__import__('secrets').randbits(40), f",
+        ),
+        ("statistics: quantiles biased inwards", 'method="weibull"', 'method="linear"'),
+    ),
+]
