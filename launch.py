@@ -1,35 +1,50 @@
 """Set up and run, on a machine that has Python 3.11 or newer with venv and pip and nothing else.
 
-python3 launch.py demo     makes .venv, installs, flies a small campaign
-python3 launch.py test     makes .venv, installs what tests need, runs every check and test
+python3 launch.py demo       makes .venv, installs, flies a small campaign
+python3 launch.py test       makes .venv, installs what tests need, runs every check and the gate's tests
+python3 launch.py unit       the tests that start no process: less than a minute
+python3 launch.py soak       the long tests that are not in the gate
+python3 launch.py docs       makes the API reference in build/api
+python3 launch.py mutants    tries small wrong changes of the code, each of which a test must notice
+
+What follows is passed on: to pytest after test, unit and soak, else to the command itself.
 """
 
 import hashlib
 import os
+import signal
 import subprocess
 import sys
+import tempfile
 import venv
+from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 ENVIRONMENT = ROOT / ".venv"
 BIN = ENVIRONMENT / "bin"
 
-STEPS = {
+JOBS = {
     "demo": [["zenfi", "demo"]],
     "test": [
         ["ruff", "check", "."],
         ["ruff", "format", "--check", "."],
         ["mypy"],
         ["lint-imports"],
-        ["pytest"],
+        ["pytest", "-m", "not soak"],
     ],
+    "unit": [["pytest", "-m", "unit"]],
+    "soak": [["pytest", "-m", "soak"]],
+    "mutants": [["python", "-m", "tests.mutants.run"]],
+    "docs": [["python", "docs/api.py", "build/api"]],
 }
+"""The commands of each job. They run side by side; the last one, which is given further arguments, is shown
+as it goes, the others whole when all have ended."""
 
 
 def install(what: str) -> None:
     """Install ``what`` into the environment, unless that was done for this pyproject.toml."""
-    stamp = ENVIRONMENT / f"installed-{'test' if '[test]' in what else 'zenfi'}"
+    stamp = ENVIRONMENT / f"installed-{what.strip('.[]') or 'zenfi'}"
     wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes()).hexdigest()
     if stamp.exists() and stamp.read_text() == wanted:
         return
@@ -40,25 +55,60 @@ def install(what: str) -> None:
     stamp.write_text(wanted)
 
 
+def run(commands: Sequence[Sequence[str]]) -> int:
+    """Run commands side by side until all have ended; the exit status of the first one listed that fails."""
+    environment = {**os.environ, "PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"}
+    with tempfile.TemporaryDirectory() as folder:
+        outputs = [Path(folder) / str(number) for number in range(len(commands) - 1)]
+        running = []
+        for command, output in zip(commands, outputs, strict=False):
+            with output.open("wb") as file:
+                running.append(start(command, environment, file.fileno()))
+        running.append(start(commands[-1], environment, None))
+        try:
+            statuses = [one.wait() for one in reversed(running)][::-1]
+        except BaseException:
+            for one in running:
+                one.terminate()
+            for one in running:
+                one.wait()
+            raise
+        for command, output, status in zip(commands, outputs, statuses, strict=False):
+            verdict = f"failed with {status}" if status else "passed"
+            sys.stdout.write(f"\n--- {' '.join(command)}: {verdict}\n{output.read_text(errors='replace')}")
+    return next((status for status in statuses if status), 0)
+
+
+def start(
+    command: Sequence[str], environment: dict[str, str], output: "int | None"
+) -> "subprocess.Popen[bytes]":
+    """A command of the environment's, writing to a descriptor, or where this one writes."""
+    return subprocess.Popen(
+        [str(BIN / command[0]), *command[1:]],
+        cwd=ROOT,
+        env=environment,
+        stdout=output,
+        stderr=subprocess.STDOUT if output is not None else None,
+    )
+
+
 def main() -> int:
-    """Run the steps of the named job; the exit status of the first that fails."""
+    """Run the named job; the exit status of its first command that fails."""
     if sys.version_info < (3, 11):
         sys.stderr.write(f"launch.py: needs Python 3.11 or newer, this is {sys.version.split()[0]}\n")
         return 2
-    job = sys.argv[1] if len(sys.argv) > 1 else ""
-    if job not in STEPS:
-        sys.stderr.write(f"usage: python3 launch.py {'|'.join(STEPS)}\n")
+    job, more = "".join(sys.argv[1:2]), sys.argv[2:]
+    if job not in JOBS:
+        sys.stderr.write(f"usage: python3 launch.py {'|'.join(JOBS)}\n")
         return 2
-    install(".[test]" if job == "test" else ".")
-    path = f"{BIN}{os.pathsep}{os.environ['PATH']}"
-    for step in STEPS[job]:
-        status = subprocess.run(
-            [str(BIN / step[0]), *step[1:]], cwd=ROOT, env={**os.environ, "PATH": path}, check=False
-        ).returncode
-        if status:
-            return status
-    return 0
+    install({"demo": ".", "docs": ".[docs]"}.get(job, ".[test]"))
+    *checks, last = JOBS[job]
+    return run([*checks, [*last, *more]])
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(130)

@@ -1,4 +1,4 @@
-"""The ``zenfi`` command.
+"""The ``zenfi`` command: its groups and the flight of single missions.
 
 With ``--json``, standard output carries one JSON object per line and nothing else; messages go to
 standard error. Exit status: 0 done, 1 we failed, 2 bad input (one clear line), 130 interrupted.
@@ -16,18 +16,14 @@ import click
 from pydantic import ValidationError
 from rich.console import Console
 
-from dashboard import tables
-from dashboard.campaigns.database import StoreError
+from dashboard.analysis import tables
 from dashboard.campaigns.spec import load_campaign
+from dashboard.campaigns.store.database import StoreError
 from dashboard.commands.announce import announce
 from dashboard.commands.bench import bench
 from dashboard.commands.campaign import as_picture, campaign, in_store
-from dashboard.commands.detector import DETECTOR_FORM, detector_fields
-from dashboard.commands.fault import FORM, parse_fault
-from dashboard.commands.flying import run_new
 from dashboard.commands.inject import inject
 from dashboard.commands.kernels import kernels
-from dashboard.commands.options import as_json
 from dashboard.commands.recordings import propagation, view
 from dashboard.commands.redundancy import redundancy
 from dashboard.commands.replay import replay
@@ -36,15 +32,17 @@ from dashboard.commands.service import foxglove, serve, token
 from dashboard.commands.stack import down, logs, ps, restart, stop, up
 from dashboard.commands.train import train
 from dashboard.commands.world import world
-from deploy.check import BadSpecError, check, one_line
+from dashboard.terminal.campaign_progress import run_new
+from dashboard.terminal.options import DETECTOR_FORM, FAULT_FORM, as_json, detector_fields, parse_fault
 from deploy.compose.folder import StackError
-from deploy.definitions import inlined
+from deploy.config.check import BadSpecError, check, one_line
+from deploy.config.definitions import inlined
 from deploy.doctor import examine
-from deploy.forkserver import ForkServer, ForkServerError
-from deploy.pairing import NothingToInjectError, Pairs
-from deploy.supervisor import InfrastructureError
+from deploy.errors import InfrastructureError
+from deploy.mission.fork_server import ForkServer, ForkServerError
+from deploy.mission.golden_twin import NothingToInjectError, PairFlyer
 from detector.errors import DetectionInputError
-from services.bus.mission import MissionSpec
+from services.models.mission import MissionSpec
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"]})
@@ -75,7 +73,7 @@ def zenfi() -> None:
 @click.option("--detector", metavar=DETECTOR_FORM, help="Watch the flight, e.g. gaussian,recovery=control.")
 @click.option(
     "--fault",
-    metavar=FORM,
+    metavar=FAULT_FORM,
     help="Flip one bit, e.g. instruction:rrt_star,operand=source; model=none does everything but the flip.",
 )
 @click.option("--fault-seed", type=int, default=0, show_default=True, help="Seed of the fault.")
@@ -84,7 +82,7 @@ def zenfi() -> None:
     type=click.Choice(["calls", "time"]),
     default="calls",
     show_default=True,
-    help="Draw the struck call over the kernel's calls or over the flight's time.",
+    help="Draw the injected call over the kernel's calls or over the flight's time.",
 )
 @click.option(
     "--record", type=click.Path(path_type=Path, dir_okay=False), help="Record the messages: FILE.mcap."
@@ -114,7 +112,7 @@ def fly(
     with in_domain(ros, spec) as watch:
         server = ForkServer()
         try:
-            outcome = Pairs(server, watch).fly(spec, record)
+            outcome = PairFlyer(server, watch).fly(spec, record)
         finally:
             server.close()
     if outcome.recording is not None and outcome.recording.problem:

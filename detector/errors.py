@@ -1,4 +1,4 @@
-"""What is wrong with what a detector was given."""
+"""Errors in the input of a detector."""
 
 from __future__ import annotations
 

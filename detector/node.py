@@ -1,4 +1,4 @@
-"""The detector on the bus: answers each stage's question about what it is going to publish.
+"""The detector on the bus: answers each stage's request about what it is going to publish.
 
 Its memory is kept stage by stage, so the order in which different stages' questions arrive changes no answer.
 """
@@ -14,40 +14,40 @@ from typing import Any
 import numpy as np
 import zenoh
 
-from detector.scheme import Scheme
-from detector.schemes import in_flight, rehearse, warm_up
-from detector.watched import WATCHED, as_check
+from detector.schemes.base import Scheme
+from detector.schemes.registry import in_flight, rehearse, warm_up
+from detector.series.monitored_states import WATCHED, as_check
 from services.bus import announce, session
 from services.bus.announce import Announcement
-from services.bus.node import NodeSetup
-from services.bus.session import Meeting
-from services.bus.verdicts import Found, answer, asked
-from services.bus.vitals import Vitals
+from services.bus.detector_protocol import DetectorReply, answer, asked
+from services.bus.session import BusAddress
+from services.runtime.setup import NodeSetup
+from services.system.shared_stats import SharedStats
 
 __all__ = ["main", "warm_up"]
 
 
-def main(setup: NodeSetup, meeting: Meeting, vitals: Vitals) -> None:
+def main(setup: NodeSetup, address: BusAddress, stats: SharedStats) -> None:
     """Load the mission's scheme, judge what is asked, end with the last stage."""
     assert setup.spec.detector is not None  # noqa: S101 - the detector is started where one is asked for
     scheme = in_flight(setup.spec.detector)
     rehearse(scheme)
-    with session.open_session(meeting, setup.name) as bus:
+    with session.open_session(address, setup.name) as bus:
         for query in questions(bus, setup.name):
             with query:
                 payload = query.payload.to_bytes() if query.payload is not None else b""
-                found = judge(scheme, str(query.key_expr).rpartition("/")[2], payload, vitals.page)
+                found = judge(scheme, str(query.key_expr).rpartition("/")[2], payload, stats.page)
                 query.reply(str(query.key_expr), answer(found))
 
 
-def judge(scheme: Scheme, stage: str, payload: bytes, page: np.void) -> Found | None:
-    """The scheme's verdict on a question, timed; what makes no sense is an alarm."""
+def judge(scheme: Scheme, stage: str, payload: bytes, page: np.void) -> DetectorReply | None:
+    """The scheme's verdict on a request, timed; a malformed request is an alarm."""
     try:
         numbers, fresh = asked(payload)
         values = as_check(stage, numbers)
     except ValueError:
         page["malformed"] += 1
-        return Found("", 0, inf)
+        return DetectorReply("", 0, inf)
     if fresh:
         scheme.reset(stage)
     page["computing"] = 1
@@ -59,11 +59,11 @@ def judge(scheme: Scheme, stage: str, payload: bytes, page: np.void) -> Found | 
     page["invocations"][0] += 1
     page["cpu_ns"][0] += spent
     page["cpu_squares_ns2"][0] += float(spent) ** 2
-    return None if alarm is None else Found(alarm.state, alarm.row, alarm.score)
+    return None if alarm is None else DetectorReply(alarm.state, alarm.row, alarm.score)
 
 
 def questions(bus: zenoh.Session, name: str) -> Iterator[zenoh.Query]:
-    """Announce the node and yield each question until simulator and stages have come and gone.
+    """Announce the node and yield each request until simulator and stages have come and gone.
 
     The stages end after the simulator: the last of them is not to go without a verdict.
     """

@@ -12,49 +12,52 @@ from typing import Any
 
 import zenoh
 
-from injector.process import END_LIMIT_MS, Identity, Process, VanishedError
-from injector.program import (
+from injector.faults.code_scope import within
+from injector.faults.record import record_of
+from injector.faults.stopped_thread import InjectionResult
+from injector.flight.approach import KernelCall
+from injector.flight.external_stage import (
     NeverCalledError,
-    ProgramScout,
+    StageProbe,
     alike,
     at_the_function,
+    draw_site_in_function,
     entry_of,
     programs,
-    survey_function,
 )
-from injector.ptrace import GoneError, hear_of_children
-from injector.rehearsal import rehearse
-from injector.scope import within
-from injector.scout import Scout, ScoutError, sent_ahead, survey
-from injector.session import inject
-from injector.way import Call
-from services.bus import announce, rng, session
+from injector.flight.injection import inject
+from injector.flight.probe import ProbeError, ProbeRun, draw_site, sent_ahead
+from injector.flight.warm_up import warm_up_on_a_fork
+from injector.tracing.process import END_LIMIT_MS, Process, ProcessIdentity, VanishedError
+from injector.tracing.ptrace import GoneError, hear_of_children
+from services.bus import announce, session
 from services.bus.announce import Announcement
-from services.bus.clock import FlightClock
 from services.bus.messages import Injection, encode
-from services.bus.mission import FaultSpec, Trigger
-from services.bus.node import NodeSetup
-from services.bus.outcome import InjectionRecord
-from services.bus.scout import SCOUT
-from services.bus.session import Meeting
+from services.bus.session import BusAddress
 from services.bus.topics import TOPICS
-from services.bus.vitals import Vitals
 from services.kernels import aimed_at
+from services.models.mission import FaultSpec, Trigger
+from services.models.outcome import InjectionRecord
+from services.runtime import rng
+from services.runtime.clock import FlightClock
+from services.runtime.probe_gate import PROBE
+from services.runtime.setup import NodeSetup
+from services.system.shared_stats import SharedStats
 
 
 def warm_up() -> None:
-    """Nothing of the injector is compiled."""
+    """Do nothing: no code of the injector is compiled."""
 
 
-def main(setup: NodeSetup, meeting: Meeting, _: Vitals) -> None:
+def main(setup: NodeSetup, address: BusAddress, _: SharedStats) -> None:
     """Wait for the armed call, inject once, let everybody pass after that; end with the simulator."""
     fault = setup.spec.fault
     assert fault is not None  # noqa: S101 - the injector is started with a fault only
-    rehearse(fault)
+    warm_up_on_a_fork(fault)
     hear_of_children()  # before Zenoh has threads: they hold SIGCHLD back, too, and none takes it from us
-    with session.open_session(meeting, setup.name) as bus:
-        clock = FlightClock(meeting.clock) if setup.spec.clock == "realtime" else None
-        gate = Gate(bus, aimed_at(fault), clock, programs(setup.spec))
+    with session.open_session(address, setup.name) as bus:
+        clock = FlightClock(address.clock) if setup.spec.clock == "realtime" else None
+        gate = NodeGate(bus, aimed_at(fault), clock, programs(setup.spec))
         publisher = bus.declare_publisher(session.topic_key("injection"))
         token = bus.liveliness().declare_token(announce.announcement(setup.name).key)
         if gate.wait():
@@ -68,38 +71,38 @@ def main(setup: NodeSetup, meeting: Meeting, _: Vitals) -> None:
         token.undeclare()  # type: ignore[no-untyped-call]
 
 
-class Scouts:
-    """The scouts that the node at the gate, or the program in its place, sends ahead; ``sent`` so far."""
+class ProbeRuns:
+    """The probes that the node at the gate, or the program in its place, sends ahead; ``sent`` so far."""
 
-    def __init__(self, gate: Gate, target: Announcement, function: str) -> None:
+    def __init__(self, gate: NodeGate, target: Announcement, function: str) -> None:
         self._gate, self._target, self._function = gate, target, function
         self.sent = 0
 
     @contextmanager
-    def ahead(self) -> Iterator[Scout]:
-        """A node's.
+    def ahead(self) -> Iterator[ProbeRun]:
+        """A probe that the node forks, at the beginning of the call.
 
         :raises FlightOverError: if the flight ends meanwhile.
         :raises VanishedError: if the node is killed.
         """
         self.sent += 1
-        with self._watched(), sent_ahead(self._target, self._gate.send_scout) as scout:
-            yield scout
+        with self._watched(), sent_ahead(self._target, self._gate.send_probe) as probe:
+            yield probe
         self._await()
 
     @contextmanager
-    def ahead_of_program(self) -> Iterator[ProgramScout]:
-        """A program's.
+    def ahead_of_program(self) -> Iterator[StageProbe]:
+        """Another process of the program, at the beginning of the call.
 
         :raises FlightOverError: if the flight ends meanwhile.
         :raises VanishedError: if the node is killed.
         """
         self.sent += 1
-        self._gate.send_scout()
+        self._gate.send_probe()
         self._await()
         program = alike(self._target, int(self._gate.request()["pid"]))
-        with self._watched(), at_the_function(program, self._function, self._gate.open) as scout:
-            yield scout
+        with self._watched(), at_the_function(program, self._function, self._gate.open) as probe:
+            yield probe
         self._await()
 
     def _await(self) -> None:
@@ -108,23 +111,23 @@ class Scouts:
 
     @contextmanager
     def _watched(self) -> Iterator[None]:
-        """A scout may be killed because its node is.
+        """A probe may be killed because its node is.
 
         :raises VanishedError: if that is so.
-        :raises ScoutError: if the node lives.
+        :raises ProbeError: if the node lives.
         """
         try:
             yield
         except (GoneError, VanishedError) as error:
-            with Process(Identity.announced(self._target)) as node:
+            with Process(ProcessIdentity.announced(self._target)) as node:
                 if node.ends_within(END_LIMIT_MS):
                     message = f"process {node.pid} is gone"
                     raise VanishedError(message) from error
-            raise ScoutError("a scout was killed, but not its node") from error
+            raise ProbeError("a probe was killed, but not its node") from error
 
 
-def inject_at(gate: Gate, fault: FaultSpec, seed: int, function: str | None) -> InjectionRecord:
-    """Inject into the node that is at the gate, while every node stands; scouts tell where, if need be.
+def inject_at(gate: NodeGate, fault: FaultSpec, seed: int, function: str | None) -> InjectionRecord:
+    """Inject into the node that is at the gate, while every node stands; probes tell where, if need be.
 
     ``function`` is that of a program in the stage's place.
 
@@ -136,18 +139,18 @@ def inject_at(gate: Gate, fault: FaultSpec, seed: int, function: str | None) -> 
     trigger = trigger.model_copy(update={"invocation": int(request["invocation"])})
     target = gate.announced[aimed_at(fault)]
     draw = rng.generator(seed, f"site {fault.target}", fault.seed)
-    scouts = Scouts(gate, target, function or "")
+    probes = ProbeRuns(gate, target, function or "")
     if trigger.site is None and trigger.cpu_ns is None:
         if function is None:
-            trigger = survey(scouts.ahead, trigger, draw, lambda process: within(fault, process))
+            trigger = draw_site(probes.ahead, trigger, draw, lambda process: within(fault, process))
         else:
             try:
-                trigger = survey_function(scouts.ahead_of_program, trigger, draw)
+                trigger = draw_site_in_function(probes.ahead_of_program, trigger, draw)
             except NeverCalledError as error:
                 return never_called(gate, fault, trigger, str(error))
     own = os.getpid()
     others = [one for _, one in sorted(gate.announced.items()) if one.pid not in (target.pid, own)]
-    call = Call(
+    call = KernelCall(
         target,
         int(request["virtual_time_ns"]),
         armed=gate.open,
@@ -162,30 +165,29 @@ def inject_at(gate: Gate, fault: FaultSpec, seed: int, function: str | None) -> 
         fault.model_copy(update={"trigger": trigger}),
         rng.generator(seed, f"injection {fault.target}", fault.seed),
     )
-    return record.model_copy(update={"scouts": scouts.sent})
+    return record.model_copy(update={"probes": probes.sent})
 
 
-def never_called(gate: Gate, fault: FaultSpec, trigger: Trigger, reason: str) -> InjectionRecord:
-    """The record of a step in which a program has no use for the function that was to be struck."""
+def never_called(gate: NodeGate, fault: FaultSpec, trigger: Trigger, reason: str) -> InjectionRecord:
+    """The record of a step in which a program does not call the function in which to inject."""
     if not gate.wait():
         raise FlightOverError
     gate.open()
-    return InjectionRecord(
-        status="not_reached",
-        reason=reason,
+    return record_of(
+        InjectionResult("not_reached", reason),
+        fault,
         node=aimed_at(fault),
         kernel=fault.target,
         invocation=trigger.invocation or 0,
-        model=fault.model,
         trigger=trigger,
     )
 
 
 class FlightOverError(Exception):
-    """The simulator is gone."""
+    """The simulator has left the bus: the flight is over."""
 
 
-class Gate:
+class NodeGate:
     """Where the armed node waits, and who is there. Zenoh's threads only fill the queue.
 
     ``programs`` are what is run in the place of stages.
@@ -247,12 +249,12 @@ class Gate:
         return dict(json.loads(payload.to_bytes())) if payload is not None else {}
 
     def open(self) -> None:
-        """Let the node pass."""
+        """Let the node that waits at the gate go on."""
         self._answer(b"")
 
-    def send_scout(self) -> None:
-        """Have the node send a scout through the gate, after which it will be there again."""
-        self._answer(SCOUT)
+    def send_probe(self) -> None:
+        """Have the node send a probe through the gate, after which it will be there again."""
+        self._answer(PROBE)
 
     def _answer(self, payload: bytes) -> None:
         if self._waiting is not None:

@@ -20,8 +20,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from services.bus.mission import FaultSpec
-    from services.bus.trial import Output, Sample, Trial
+    from services.models.mission import FaultSpec
+    from services.runtime.kernel_trial import KernelOutput, KernelTrial, Sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +29,8 @@ class Kernel:
     """One kernel: its stage, where it is entered, the libraries whose code it runs, and how it is tried.
 
     ``modules`` are file name prefixes of shared libraries; kernels compiled by numba run in anonymous
-    memory and name none. ``trial_class`` is a :class:`services.bus.trial.Trial` in the stage's
-    ``samples`` module, which says what an output's values are; ``tolerance`` is by how much each of
+    memory and name none. ``trial_class`` is a :class:`services.runtime.kernel_trial.KernelTrial` in the
+    stage's ``samples`` module, which says what an output's values are; ``tolerance`` is by how much each of
     their columns may differ (one number: all columns) in ``unit``.
     """
 
@@ -48,23 +48,23 @@ class Kernel:
         return Path(__file__).parent / self.stage / "sample.npz"
 
     def sample(self) -> Sample:
-        """The recorded input."""
+        """The recorded input, loaded from its file."""
         import numpy as np  # noqa: PLC0415 - the table is cheap to import
 
         with np.load(self.sample_file, allow_pickle=False) as arrays:
             return dict(arrays)
 
-    def trial(self, sample: Sample) -> Trial:
+    def trial(self, sample: Sample) -> KernelTrial:
         """The kernel on its input, once; its state is made anew."""
         samples = importlib.import_module(f"services.{self.stage}.samples")
-        trial: Trial = getattr(samples, self.trial_class)(self.name, sample)
+        trial: KernelTrial = getattr(samples, self.trial_class)(self.name, sample)
         return trial
 
-    def exact(self, one: Output, other: Output) -> bool:
+    def exact(self, one: KernelOutput, other: KernelOutput) -> bool:
         """Whether two outputs are the same to the bit."""
         return one.image == other.image
 
-    def within_tolerance(self, one: Output, other: Output) -> bool:
+    def within_tolerance(self, one: KernelOutput, other: KernelOutput) -> bool:
         """Whether two outputs have as many values, and each pair is equal or within the tolerance."""
         import numpy as np  # noqa: PLC0415
 
@@ -74,7 +74,7 @@ class Kernel:
 
 def _planner(name: str) -> Kernel:
     entry = "services.planning.planners:plan"
-    return Kernel(name, "planning", entry, ("libompl",), "Planner", (0.1,), "m at each corner")
+    return Kernel(name, "planning", entry, ("libompl",), "PlannerTrial", (0.1,), "m at each corner")
 
 
 _TABLE = (
@@ -83,7 +83,7 @@ _TABLE = (
         "perception",
         "services.perception.point_cloud:point_cloud",
         (),
-        "PointCloud",
+        "PointCloudTrial",
         (0.05,),
         "m at each point: the camera's noise at 7 m",
     ),
@@ -92,7 +92,7 @@ _TABLE = (
         "perception",
         "services.perception.occupancy:OccupancyMap.insert",
         ("liboctomap",),
-        "Octomap",
+        "OctomapTrial",
         (0.0,),
         "label of each voxel: log-odds may differ, what is free or occupied may not",
     ),
@@ -101,7 +101,7 @@ _TABLE = (
         "perception",
         "services.perception.collision:time_to_collision",
         ("liboctomap",),
-        "CollisionCheck",
+        "CollisionCheckTrial",
         (0.04,),
         "s: a tick of control",
     ),
@@ -114,7 +114,7 @@ _TABLE = (
         "planning",
         "services.planning.sweep:lawn_mower",
         (),
-        "Sweep",
+        "SweepTrial",
         (0.1,),
         "m at each end of a lane",
     ),
@@ -123,7 +123,7 @@ _TABLE = (
         "planning",
         "services.planning.frontier:frontier",
         (),
-        "Frontier",
+        "FrontierTrial",
         (0.1,),
         "m: the place to explore next",
     ),
@@ -132,7 +132,7 @@ _TABLE = (
         "planning",
         "services.planning.trajectory:trajectory",
         (),
-        "Smoothing",
+        "SmoothingTrial",
         (0.04, *(0.1,) * 3, *(0.05,) * 3, *(0.1,) * 3, 0.02, 0.0),
         "s, m, m/s, m/s^2, rad, and whether it turns on the spot",
     ),
@@ -141,7 +141,7 @@ _TABLE = (
         "control",
         "services.control.pid:pid",
         (),
-        "Pid",
+        "PidTrial",
         (0.02,),
         "m/s and rad/s",
     ),
@@ -154,7 +154,7 @@ def aimed_at(fault: FaultSpec) -> str:
     """The stage that a fault strikes; one that an own stack replaces goes by its own name."""
     if fault.level == "instruction":
         return KERNELS[fault.target].stage if fault.target in KERNELS else fault.target
-    from services.bus.states import members  # noqa: PLC0415 - the table is cheap to import
+    from services.models.inter_kernel_states import members  # noqa: PLC0415 - the table is cheap to import
 
     return members(fault.target)[0].stage
 

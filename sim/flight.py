@@ -6,25 +6,25 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from services.bus.mission import MissionSpec
-from services.bus.outcome import MissionResult, QoF
 from services.bus.topics import TICK_NS
-from sim.airframe import airframe
-from sim.area import corners
-from sim.imu import ImuSamples, InertialUnit
-from sim.objective import objective
-from sim.odometry import Drift
-from sim.qof import FlightMeter
-from sim.referee import judge
-from sim.vehicle import STEP_S, Floats, Vehicle
-from sim.wind import Air
+from services.models.mission import MissionSpec
+from services.models.outcome import MissionResult, QoF
+from sim.mission.area import corners
+from sim.mission.objective import objective
+from sim.mission.qof import FlightMeter
+from sim.mission.referee import judge
+from sim.sensors.imu import ImuSamples, InertialUnit
+from sim.sensors.odometry import Drift
+from sim.vehicle.airframe import airframe
+from sim.vehicle.vehicle import STEP_S, Floats, Vehicle
+from sim.vehicle.wind import Air
 from sim.world import make_world
 
 STEP_NS = round(STEP_S * 1e9)
 HOVER = np.zeros(4)
 
 
-class Flight:
+class SimulatedFlight:
     """A vehicle that holds its last command: it hovers before the first, and coasts when none follows."""
 
     def __init__(self, spec: MissionSpec) -> None:
@@ -65,7 +65,7 @@ class Flight:
 
     @property
     def felt(self) -> ImuSamples | None:
-        """What the IMU measured in the last tick; None before the first."""
+        """The IMU samples of the last tick; None before the first."""
         if not self._felt:
             return None
         return ImuSamples(*(np.concatenate(parts) for parts in zip(*self._felt, strict=True)))

@@ -5,37 +5,36 @@ from __future__ import annotations
 import numpy as np
 
 from services.bus.horizon import NEVER_NS
-from services.bus.line import Line
 from services.bus.messages import Mission, TwistStamped, header
-from services.bus.mission import MissionSpec
-from services.bus.node import Node, NodeSetup
 from services.bus.ports import Input
-from services.bus.realtime import join
+from services.bus.proxy_link import NodeLink
 from services.bus.topics import TICK_NS
-from services.bus.vitals import Vitals
-from sim import telemetry
-from sim.camera import DepthCamera
-from sim.flight import Flight
-from sim.vehicle import Floats
+from services.models.mission import MissionSpec
+from services.runtime.node import ClockOwner, Node
+from services.runtime.setup import NodeSetup
+from services.system.shared_stats import SharedStats
+from sim.flight import SimulatedFlight
+from sim.sensors import telemetry
+from sim.sensors.camera import DepthCamera
+from sim.vehicle.vehicle import Floats
 
 
 def warm_up() -> None:
     """Compile the kernels before there is a flight."""
     for fields in ({"energy": "momentum"}, {"mission": "scanning"}, {"mission": "mapping"}):
         spec = MissionSpec.model_validate({"energy": "regression", **fields})
-        flight = Flight(spec)
+        flight = SimulatedFlight(spec)
         flight.advance(0, [(0, np.zeros(4))])
         DepthCamera(spec.camera, 0).render(flight.vehicle)
 
 
-def main(setup: NodeSetup, courier: Line, vitals: Vitals) -> None:
+def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
     """Fly the mission tick by tick until the referee ends it."""
     spec = setup.spec
-    flight, camera = Flight(spec), DepthCamera(spec.camera, spec.seed)
-    with join(setup, courier, vitals) as node:
+    flight, camera = SimulatedFlight(spec), DepthCamera(spec.camera, spec.seed)
+    with ClockOwner(setup, proxy, stats) as node:
         commands, plan = node.input("command"), node.input("trajectory")
-        node.watch("perception")
-        node.ready()
+        node.ready("perception")
         node.put("goal", telemetry.goal(header(0, "map"), flight.world))
         if flight.area is not None:
             node.put("task", telemetry.task(header(0, "map"), flight.world, flight.area))
@@ -60,8 +59,8 @@ def main(setup: NodeSetup, courier: Line, vitals: Vitals) -> None:
             flight.advance(now_ns, [(one.ready_ns, velocity(commands.read(one))) for one in commands.new])
 
 
-def report(node: Node, flight: Flight, plan: Input) -> bool:
-    """Publish how the mission stands, once a second and at its end; whether it has ended."""
+def report(node: Node, flight: SimulatedFlight, plan: Input) -> bool:
+    """Publish the mission's status, once a second and at its end; whether it has ended."""
     newest = plan.latest
     replans = max(newest.trajectory_seq - 1, 0) if newest is not None else 0
     result = flight.judge(no_path=newest is not None and bool(newest.failed))

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
-from services.bus.rng import generator
-from services.bus.safety import BODY_RADIUS_M
-from services.bus.world import DRAWN_TOP_M, BoxWorld, ClusteredWorld, GridWorld, Point, WorldDefinition
+from services.models.safety import BODY_RADIUS_M
+from services.models.world import DRAWN_TOP_M, BoxWorld, ClusteredWorld, GridWorld, Point, WorldDefinition
+from services.runtime.rng import generator
 
 Floats = NDArray[np.float64]
 

@@ -12,10 +12,11 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from deploy.forkserver import ForkServer
-from deploy.mould import SIDE_SERVER
-from deploy.scratch import PREFIX
-from injector.own_pids import CALLER
+from deploy.config.workdir import PREFIX
+from deploy.mission.fork_server import ForkServer
+from deploy.mission.zygote import SIDE_SERVER
+from injector.reproducible.pid_namespace import CALLER
+from tests import tiers
 
 PATIENCE_S = 300.0
 """For what comes in the end, on however busy a machine; not for what would end by itself in that time."""
@@ -23,6 +24,22 @@ PATIENCE_S = 300.0
 # No test asserts wall time, also not hypothesis' own deadline.
 settings.register_profile("zenfi", deadline=None)
 settings.load_profile("zenfi")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give each test its tier; before ``-m`` chooses by it."""
+    tiers.sort_into_tiers(items)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    """Have a unit test fail that starts a process."""
+    tiers.guard(item)
+    try:
+        return (yield)
+    finally:
+        tiers.guard(None)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -11,20 +11,20 @@ from typing import Any
 from fastapi import APIRouter, FastAPI
 from prometheus_client import CollectorRegistry
 
-from dashboard.api import (
+from dashboard.api import problems
+from dashboard.api.problems import documented
+from dashboard.api.routes import (
     campaigns,
     catalogue,
     flights,
+    metrics,
     nodes,
-    observing,
-    problems,
     recordings,
     results,
     runs,
     streaming,
 )
-from dashboard.api.problems import documented
-from dashboard.api.security import BodyLimit, Gate
+from dashboard.api.security import AccessGuard, BodyLimit
 from dashboard.api.service import Service
 
 MOST_BODY_BYTES = 2_000_000
@@ -36,14 +36,15 @@ EVERYWHERE = documented(400, 401, 403, 500, 503)
 def make_app(service: Service, token: str = "", *, loopback: bool = True) -> FastAPI:
     """The service as an ASGI application.
 
-    ``token`` is the hash of what requests must bear, empty if nothing; ``loopback``: see :class:`Gate`.
+    ``token`` is the hash of what requests must bear, empty if nothing; ``loopback``: see
+    :class:`AccessGuard`.
     """
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
-        service.hub.bind(asyncio.get_running_loop())
+        service.event_bus.bind(asyncio.get_running_loop())
         yield
-        service.hub.close()
+        service.event_bus.close()
 
     app = _Documented(
         title="ZenFI",
@@ -59,13 +60,13 @@ def make_app(service: Service, token: str = "", *, loopback: bool = True) -> Fas
     for part in (streaming, runs, recordings, results, campaigns, flights, catalogue, nodes):
         api.include_router(part.router)
     app.include_router(api)
-    app.include_router(observing.router, responses=EVERYWHERE)
+    app.include_router(metrics.router, responses=EVERYWHERE)
     problems.install(app)
     app.state.metrics = CollectorRegistry()
-    app.state.metrics.register(observing.ServiceMetrics(service))
+    app.state.metrics.register(metrics.ServiceMetrics(service))
     app.add_middleware(BodyLimit, most=MOST_BODY_BYTES)
-    app.add_middleware(Gate, token=token, loopback=loopback)
-    app.add_middleware(observing.Observed, registry=app.state.metrics)
+    app.add_middleware(AccessGuard, token=token, loopback=loopback)
+    app.add_middleware(metrics.Observed, registry=app.state.metrics)
     return app
 
 

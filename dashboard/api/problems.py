@@ -14,12 +14,13 @@ from pydantic import BaseModel, Field, ValidationError
 from starlette.exceptions import HTTPException
 
 from dashboard.api.programs import ForbiddenError
-from dashboard.campaigns.database import StoreError, StoreFullError
-from dashboard.campaigns.steering import ConflictError
-from dashboard.campaigns.store import BusyError, RepeatedError, UnknownCampaignError
-from deploy.check import BadSpecError
+from dashboard.campaigns.commands import ConflictError
+from dashboard.campaigns.store.database import StoreError, StoreFullError
+from dashboard.campaigns.store.queries import UnknownCampaignError
+from dashboard.campaigns.store.store import BusyError, RepeatedError
 from deploy.compose.folder import StackError
-from deploy.supervisor import InfrastructureError
+from deploy.config.check import BadSpecError
+from deploy.errors import InfrastructureError
 
 MEDIA_TYPE = "application/problem+json"
 MOST_ERRORS = 20
@@ -35,7 +36,7 @@ class FieldProblem(BaseModel):
 
 
 class Problem(BaseModel):
-    """A problem's details."""
+    """Details of an error, as RFC 9457 defines them."""
 
     type: str = "about:blank"
     title: str = Field(examples=["Unprocessable Content"])
@@ -45,11 +46,11 @@ class Problem(BaseModel):
 
 
 class NotFoundError(Exception):
-    """There is no such thing."""
+    """The resource that the path names does not exist."""
 
 
 class NotReadyError(Exception):
-    """Not now."""
+    """The service cannot take requests now: it starts or ends."""
 
 
 _STATUS: dict[type[Exception], int] = {

@@ -11,29 +11,29 @@ from pathlib import Path
 from typing import NamedTuple
 
 from dashboard.campaigns.spec import CampaignSpec, stacks
-from deploy.check import BadSpecError
-from deploy.definitions import own_stack
-from services.bus.own_stack import OwnStack, OwnStage
+from deploy.config.check import BadSpecError
+from deploy.config.definitions import own_stack
+from services.models.own_stack import OwnStack, OwnStage
 
 
 class ForbiddenError(BadSpecError):
     """What may not be asked for over HTTP."""
 
 
-class Program(NamedTuple):
-    """What is run, to the byte."""
+class AllowedProgram(NamedTuple):
+    """A program that may be run: its command, folder and the digest of its files."""
 
     command: tuple[str, ...]
     folder: str
     sha256: str
 
     @classmethod
-    def of(cls, own: OwnStage) -> Program:
-        """That of a stage."""
+    def of(cls, own: OwnStage) -> AllowedProgram:
+        """The allowed program that a stage would run."""
         return cls(own.command, own.folder, own.sha256)
 
 
-Programs = frozenset[Program]
+Programs = frozenset[AllowedProgram]
 
 
 def named(files: Iterable[Path]) -> Programs:
@@ -42,7 +42,7 @@ def named(files: Iterable[Path]) -> Programs:
     :raises BadSpecError: naming the file, if it is none, or a program cannot be run.
     """
     read = [OwnStack.model_validate(own_stack(file)) for file in files]
-    return frozenset(Program.of(own) for stack in read for own in stack.stages.values())
+    return frozenset(AllowedProgram.of(own) for stack in read for own in stack.stages.values())
 
 
 def refuse_others(programs: Programs, spec: CampaignSpec) -> None:
@@ -52,7 +52,7 @@ def refuse_others(programs: Programs, spec: CampaignSpec) -> None:
     """
     for stack in stacks(spec):
         for stage, own in stack.stages.items():
-            if Program.of(own) not in programs:
+            if AllowedProgram.of(own) not in programs:
                 message = (
                     f"stack: {stage}: {own.command[0]!r} with these arguments, folder and digest is no "
                     "program that the service was started with: zenfi serve --allow-stack FILE"

@@ -17,7 +17,7 @@ from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from dashboard.api.problems import answer
-from deploy.check import BadSpecError
+from deploy.config.check import BadSpecError
 
 TOKEN_FILE = "token.sha256"  # noqa: S105 - a file's name
 OPEN = ("/health", "/ready", "/login", "/favicon.ico")
@@ -76,7 +76,7 @@ def _hash(token: str) -> str:
     return hashlib.sha256(token.encode()).hexdigest()
 
 
-class Gate:
+class AccessGuard:
     """Lets a request in, or answers it with 401 or 403.
 
     On loopback the Host must be a name of this machine: else a page whose name was bound to 127.0.0.1 after
@@ -89,7 +89,7 @@ class Gate:
         self._app, self._token, self._loopback = app, token, loopback
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let in or refuse."""
+        """Pass a request on, or refuse it."""
         refused = self._refusal(scope) if scope["type"] in ("http", "websocket") else None
         if refused is None:
             await self._app(scope, receive, send)

@@ -1,4 +1,4 @@
-"""What every endpoint needs: the store, the hub, the conductor."""
+"""What every endpoint needs: the store, the event_bus, the runner."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from typing import Annotated
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
-from dashboard.api.conductor import Conductor
-from dashboard.api.hub import Hub
+from dashboard.api.processes.campaign_runner import CampaignRunner
+from dashboard.api.processes.event_bus import EventBus
 from dashboard.api.programs import Programs
-from dashboard.campaigns.store import Campaign, Store
+from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.store import Store
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +20,8 @@ class Service:
     """One life of the service; ``programs`` are those that may be asked for."""
 
     store: Store
-    hub: Hub
-    conductor: Conductor
+    event_bus: EventBus
+    runner: CampaignRunner
     programs: Programs = frozenset()
 
 
@@ -29,12 +30,12 @@ def _service(connection: HTTPConnection) -> Service:
     return service
 
 
-Here = Annotated[Service, Depends(_service)]
+ServiceDep = Annotated[Service, Depends(_service)]
 
 
-def _found(label: str, here: Here) -> Campaign:
-    return here.store.find(label)
+def _campaign(label: str, service: ServiceDep) -> Campaign:
+    return service.store.find(label)
 
 
-Found = Annotated[Campaign, Depends(_found)]
+CampaignDep = Annotated[Campaign, Depends(_campaign)]
 """The campaign that the path names by its label or number."""

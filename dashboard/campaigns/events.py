@@ -1,4 +1,4 @@
-"""What can happen to a campaign: the events of :mod:`dashboard.campaigns.states`."""
+"""What can happen to a campaign: the events of :mod:`dashboard.campaigns.state_machine`."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class Leased:
 
 
 @dataclass(frozen=True, slots=True)
-class Started:
-    """The worker has begun a run."""
+class RunStarted:
+    """A worker has started to fly a run."""
 
     lease: str
     run: int
@@ -37,7 +37,7 @@ class Alive:
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """A run has a result."""
+    """A run was flown and has a result."""
 
     lease: str
     run: int
@@ -61,7 +61,7 @@ class Lost:
 
 
 @dataclass(frozen=True, slots=True)
-class Passed:
+class LeaseTimePassed:
     """Time has passed: leases that ended before ``now_s`` are lost."""
 
     now_s: float
@@ -81,7 +81,7 @@ class Pause:
 
 @dataclass(frozen=True, slots=True)
 class Cancel:
-    """The campaign is given up."""
+    """Somebody has cancelled the campaign."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,12 +94,12 @@ class CannotBegin:
 Event = (
     Begin
     | Leased
-    | Started
+    | RunStarted
     | Alive
     | Flown
     | NotFlown
     | Lost
-    | Passed
+    | LeaseTimePassed
     | NotNeeded
     | Pause
     | Cancel

@@ -6,8 +6,8 @@ from pydantic import Field
 
 from dashboard.campaigns.spec import CampaignSpec, cells, runs
 from dashboard.campaigns.statistics.sampling import resolvable_drop
-from dashboard.campaigns.store import Store
-from services.bus.model import Strict
+from dashboard.campaigns.store.store import Store
+from services.models.base import Strict
 
 FLIGHT_S = 1.5
 """Wall time of a flight in Sparse with the fast profile (README); until the store knows better."""
@@ -20,7 +20,7 @@ SUCCESS = 0.95
 
 
 class Forecast(Strict):
-    """The plan of a campaign."""
+    """Estimated time, disk space and precision of a campaign."""
 
     cells: int
     runs: int

@@ -8,21 +8,21 @@ from typing import NamedTuple
 from pydantic import ValidationError
 
 from dashboard.campaigns.spec import CampaignSpec
-from deploy.check import BadSpecError, one_line
+from deploy.config.check import BadSpecError, one_line
 
 
-class Preset(NamedTuple):
+class CampaignPreset(NamedTuple):
     """What it is called, and the first line of its file."""
 
     name: str
     about: str
 
 
-def presets() -> list[Preset]:
+def presets() -> list[CampaignPreset]:
     """All of them, in the order of their names."""
     found = (entry for entry in (files("dashboard") / "presets").iterdir() if entry.name.endswith(".toml"))
     return sorted(
-        Preset(entry.name.removesuffix(".toml"), entry.read_text().splitlines()[0].removeprefix("# "))
+        CampaignPreset(entry.name.removesuffix(".toml"), entry.read_text().splitlines()[0].removeprefix("# "))
         for entry in found
     )
 

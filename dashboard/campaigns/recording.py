@@ -11,27 +11,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from dashboard.campaigns.database import StoreFullError
-from dashboard.campaigns.spec import Recording, Run
-from services.bus import rng
-from services.bus.outcome import Outcome
+from dashboard.campaigns.spec import RecordingPolicy, Run
+from dashboard.campaigns.store.database import StoreFullError
+from services.models.outcome import Outcome
+from services.runtime import rng
 
 Fate = Literal["", "kept", "dropped", "over quota"]
 """Of a run's files: nobody asked for any, kept, not wanted by the policy, no room."""
 
 
 @dataclass(frozen=True, slots=True)
-class Filed:
+class FileState:
     """What became of a run's files, and how large they are."""
 
     fate: Fate = ""
     size: int = 0
 
 
-class Recorder:
+class ArtefactRecorder:
     """Keeps and drops the files of runs. ``used`` bytes were kept before."""
 
-    def __init__(self, policy: Recording, folder: Path, seed: int, used: int = 0) -> None:
+    def __init__(self, policy: RecordingPolicy, folder: Path, seed: int, used: int = 0) -> None:
         self._policy = policy
         self._folder = folder
         self._seed = seed
@@ -43,7 +43,7 @@ class Recorder:
             return None
         return self._folder / f"run-{run}.mcap"
 
-    def file(self, planned: Mapping[int, Run], flown: Mapping[int, Outcome]) -> dict[int, Filed]:
+    def file(self, planned: Mapping[int, Run], flown: Mapping[int, Outcome]) -> dict[int, FileState]:
         """Settle the files of runs that were flown.
 
         :raises StoreFullError: if the disk is full; what was flown is to be flown again.
@@ -52,10 +52,10 @@ class Recorder:
             return {}
         return {run: self._settle(run, planned[run].index, outcome) for run, outcome in flown.items()}
 
-    def _settle(self, run: int, number: int, outcome: Outcome) -> Filed:
+    def _settle(self, run: int, number: int, outcome: Outcome) -> FileState:
         if not self.wants(number, outcome):
             _remove(self._files(run))
-            return Filed("dropped")
+            return FileState("dropped")
         path = self._folder / f"run-{run}.json"
         if outcome.recording is not None and outcome.recording.problem:
             message = f"{path.with_suffix('.mcap')}: {outcome.recording.problem}"
@@ -70,9 +70,9 @@ class Recorder:
         size = sum(file.stat().st_size for file in files)
         if self._used + size > self._policy.disk_mb * 1_000_000:
             _remove(files)
-            return Filed("over quota", size)
+            return FileState("over quota", size)
         self._used += size
-        return Filed("kept", size)
+        return FileState("kept", size)
 
     def wants(self, number: int, outcome: Outcome) -> bool:
         """Whether the policy keeps a run. Of a sample, runs of one number are kept in all cells: pairs."""

@@ -6,18 +6,16 @@ import itertools
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 
-from dashboard.campaigns.events import Begin, Cancel, Event, Flown, Leased, NotNeeded, Passed, Pause
-from dashboard.campaigns.executors.executor import Executor, Report, Task
-from dashboard.campaigns.executors.local import LocalExecutor
-from dashboard.campaigns.spec import CampaignLimits, Run
-from dashboard.campaigns.states import CampaignStates, RunState
+from dashboard.campaigns.events import Begin, Cancel, Event, Flown, Leased, LeaseTimePassed, NotNeeded, Pause
+from dashboard.campaigns.executors.executor import Executor, ExecutorReport, ExecutorTask
+from dashboard.campaigns.spec import Run
+from dashboard.campaigns.state_machine import CampaignStates
 from dashboard.campaigns.stopping import StoppingRule
-from deploy.present import Present
-from deploy.sight import Sight
-from services.bus.outcome import Outcome
+from deploy.recording.flight_status import FlightStatus
+from deploy.recording.snapshot import FlightSnapshot
+from services.models.outcome import Outcome
 
 POLL_S = 0.25
 GROUP = 8
@@ -39,7 +37,7 @@ class Finished:
 class Scheduler:
     """Flies what is open of a campaign.
 
-    ``write`` keeps changed states and outcomes; what it has not kept is flown again. ``wished`` tells
+    ``write`` keeps changed states and outcomes; what it has not kept is flown again. ``desired_state`` tells
     what another process asks for, ``watch`` is told how flights stand.
     """
 
@@ -51,16 +49,18 @@ class Scheduler:
         rule: StoppingRule,
         lease_s: float,
         write: Write,
-        wished: Callable[[], str] = lambda: "",
+        desired_state: Callable[[], str] = lambda: "",
     ) -> None:
-        self.watch: Callable[[int, Present, Sight | None], None] = lambda _run, _present, _sight: None
+        self.watch: Callable[[int, FlightStatus, FlightSnapshot | None], None] = (
+            lambda _run, _present, _sight: None
+        )
         self.states = states
         self._planned = planned
         self._executor = executor
         self._rule = rule
         self._lease_s = lease_s
         self._write = write
-        self._wished = wished
+        self._desired_state = desired_state
         self._queue: deque[list[int]] = deque()
         self._serial = itertools.count()
         self._asked = ""
@@ -76,7 +76,7 @@ class Scheduler:
                 self._look()
             if self._asked:
                 self.pause(self._asked)
-            self._obey(self._wished())
+            self._obey(self._desired_state())
 
     def stop(self, reason: str) -> None:
         """Have :meth:`fly` pause the campaign and end, within :data:`POLL_S`; from any thread."""
@@ -87,10 +87,10 @@ class Scheduler:
         if self.states.phase == "running":
             self._keep(self.states.handle(Pause(reason)), {})
 
-    def _obey(self, wish: str) -> None:
-        if wish == "cancel" and self.states.phase == "running":
+    def _obey(self, desired_state: str) -> None:
+        if desired_state == "cancel" and self.states.phase == "running":
             self._keep(self.states.handle(Cancel()), {})
-        elif wish == "pause":
+        elif desired_state == "pause":
             self.pause("paused")
 
     def _keep(self, changed: Sequence[int], outcomes: Mapping[int, Outcome]) -> None:
@@ -120,7 +120,7 @@ class Scheduler:
             lease = str(next(self._serial))
             until_s = time.monotonic() + self._lease_s
             changed += self.states.handle(Leased(lease, tuple(group), until_s))
-            task = Task(lease, [(run, self._planned[run].spec) for run in group])
+            task = ExecutorTask(lease, [(run, self._planned[run].spec) for run in group])
             for begun in self._executor.submit(task):
                 changed += self.states.handle(begun.event)
         if changed:
@@ -133,7 +133,7 @@ class Scheduler:
             group += self._queue.popleft()
         return group
 
-    def _take_in(self, reports: Iterable[Report]) -> list[Finished]:
+    def _take_in(self, reports: Iterable[ExecutorReport]) -> list[Finished]:
         changed: list[int] = []
         outcomes: dict[int, Outcome] = {}
         for report in reports:
@@ -143,7 +143,7 @@ class Scheduler:
             changed += moved
             if isinstance(report.event, Flown) and moved and report.outcome is not None:
                 outcomes[report.event.run] = report.outcome
-        changed += self._handle(Passed(time.monotonic()))
+        changed += self._handle(LeaseTimePassed(time.monotonic()))
         for lease in self._executor.leases - self.states.leases:
             self._executor.drop(lease)
         if changed:
@@ -165,14 +165,3 @@ class Scheduler:
         if outcome is not None:
             self._rule.add(run.cell, run.index, success=outcome.qof.success)
         return Finished(index, run, outcome, self.states.runs[index].error)
-
-
-def fly_all(runs: Iterable[Run], slots: int | None = None) -> Iterator[Finished]:
-    """Fly runs that no store keeps, yielding each as it ends. Leaving early ends everything started."""
-    planned = dict(enumerate(runs))
-    limits = CampaignLimits()
-    states = CampaignStates({index: RunState() for index in planned}, limits.attempts)
-    last = max((run.index for run in planned.values()), default=0)
-    rule = StoppingRule(None, (run.cell for run in planned.values()), last + 1)
-    with closing(LocalExecutor(slots, limits.lease_s)) as executor:
-        yield from Scheduler(states, planned, executor, rule, limits.lease_s, lambda *_: None).fly()

@@ -5,22 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 
-from dashboard.campaigns.database import StoreError, StoreFullError
 from dashboard.campaigns.executors.choice import open_executor
 from dashboard.campaigns.executors.spec import ExecutorSpec
-from dashboard.campaigns.recording import Recorder
+from dashboard.campaigns.recording import ArtefactRecorder
 from dashboard.campaigns.scheduler import Scheduler
 from dashboard.campaigns.stopping import StoppingRule
-from dashboard.campaigns.store import Campaign, Store
-from deploy.live import SOCKET
-from deploy.order import Order
-from deploy.supervisor import InfrastructureError
-from services.bus.mission import MissionSpec
+from dashboard.campaigns.store.database import StoreError, StoreFullError
+from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.store import Store
+from deploy.errors import InfrastructureError
+from deploy.recording.live_feed import SOCKET
+from deploy.workers.protocol import WorkerOrder
+from services.models.mission import MissionSpec
 
 
 @contextmanager
 def scheduling(
-    store: Store, found: Campaign, executor: ExecutorSpec, slots: int | None
+    store: Store, campaign: Campaign, executor: ExecutorSpec, slots: int | None
 ) -> Iterator[Scheduler]:
     """The scheduler of a campaign, which is ours alone meanwhile; to be flown by ``scheduler.fly()``.
 
@@ -30,39 +31,41 @@ def scheduling(
     :raises BusyError: if another process flies it.
     :raises BadSpecError: if the executor cannot be had.
     """
-    limits = found.spec.limits
-    with store.lock(found), ExitStack() as stack:
-        planned = store.planned(found)
-        used = store.filed(found).get("kept", (0, 0))[1]
-        recorder = Recorder(found.spec.recording, store.artefacts(found), found.spec.mission.seed, used)
+    limits = campaign.spec.limits
+    with store.lock(campaign), ExitStack() as stack:
+        planned = store.planned(campaign)
+        used = store.file_counts(campaign).get("kept", (0, 0))[1]
+        recorder = ArtefactRecorder(
+            campaign.spec.recording, store.artefacts(campaign), campaign.spec.mission.seed, used
+        )
 
-        def order(run: int, spec: MissionSpec) -> Order:
-            about = {"campaign": found.label, "run": str(run)}
+        def order(run: int, spec: MissionSpec) -> WorkerOrder:
+            about = {"campaign": campaign.label, "run": str(run)}
             live = store.folder / SOCKET
-            return Order(
+            return WorkerOrder(
                 spec=spec,
                 record=recorder.path(run, planned[run].index),
                 about=about,
                 live=live if live.is_socket() else None,
             )
 
-        crew = stack.enter_context(
-            closing(open_executor(executor, slots, limits.lease_s, store.artefacts(found), order))
+        running = stack.enter_context(
+            closing(open_executor(executor, slots, limits.lease_s, store.artefacts(campaign), order))
         )
-        rule = StoppingRule(found.spec.stop, (run.cell for run in planned.values()), found.spec.runs)
-        for record in store.records(found):
+        rule = StoppingRule(campaign.spec.stop, (run.cell for run in planned.values()), campaign.spec.runs)
+        for record in store.records(campaign):
             if record.result is not None:
                 rule.add(record.cell, record.number, success=record.result.success)
         scheduler = Scheduler(
-            store.states(found),
+            store.states(campaign),
             planned,
-            crew,
+            running,
             rule,
             limits.lease_s,
             lambda states, changed, outcomes: store.write(
-                found, states, changed, outcomes, recorder.file(planned, outcomes)
+                campaign, states, changed, outcomes, recorder.file(planned, outcomes)
             ),
-            lambda: store.wished(found),
+            lambda: store.desired_state(campaign),
         )
         try:
             yield scheduler
@@ -72,12 +75,14 @@ def scheduling(
         except StoreFullError as error:
             _leave(scheduler, "the store is full")
             message = (
-                f"{found.label} is paused: {error}; nothing is lost: make room on the disk or in the quota "
-                f"(--disk-mb), then zenfi campaign resume {found.label}"
+                f"{campaign.label} is paused: {error}; nothing is lost: make room on the disk or in the "
+                f"quota (--disk-mb), then zenfi campaign resume {campaign.label}"
             )
             raise InfrastructureError(message) from error
         except StoreError as error:
-            message = f"{found.label} is interrupted: {error}; go on with zenfi campaign resume {found.label}"
+            message = (
+                f"{campaign.label} is interrupted: {error}; go on with zenfi campaign resume {campaign.label}"
+            )
             raise InfrastructureError(message) from error
         except InfrastructureError as error:
             _leave(scheduler, str(error))

@@ -14,11 +14,11 @@ from typing import Any, Literal, NamedTuple
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from dashboard.campaigns.executors.spec import ExecutorSpec, LocalSpec
-from deploy.check import BadSpecError, check, one_line
-from deploy.definitions import inlined
-from services.bus.mission import FaultSpec, MissionSpec, World
-from services.bus.model import Strict
-from services.bus.own_stack import OwnStack
+from deploy.config.check import BadSpecError, check, one_line
+from deploy.config.definitions import inlined
+from services.models.base import Strict
+from services.models.mission import FaultSpec, MissionSpec, World
+from services.models.own_stack import OwnStack
 
 MAX_RUNS = 100_000
 SEEDS = 2**32
@@ -53,7 +53,7 @@ class Arm(Condition):
         return MissionSpec.model_validate(changes).model_dump(exclude_unset=True)
 
 
-class Stop(Strict):
+class StoppingSpec(Strict):
     """Stop at the first of ``looks`` (runs per cell) at which every cell's success is known to +- ``margin``.
 
     The intervals' level is 1 - 0.05 / (number of looks), so that all looks together err in 5 %.
@@ -71,7 +71,7 @@ class CampaignLimits(Strict):
     disk_mb: int = Field(default=10_000, ge=1, description="size of the store at which campaigns pause")
 
 
-class Recording(Strict):
+class RecordingPolicy(Strict):
     """Whose files are kept: of no run, of those that failed, of all, or of a ``sample`` part of them."""
 
     keep: Literal["none", "failures", "all", "sample"] = "none"
@@ -105,10 +105,10 @@ class CampaignSpec(Strict):
     arms: tuple[Arm, ...] = Field(min_length=1)
     worlds: tuple[World, ...] = ()
     faults: tuple[Condition, ...] = ()
-    stop: Stop | None = None
+    stop: StoppingSpec | None = None
     limits: CampaignLimits = CampaignLimits()
     executor: ExecutorSpec = LocalSpec()
-    recording: Recording = Recording()
+    recording: RecordingPolicy = RecordingPolicy()
     artefacts: str = Field(default="", description="folder in the store's artefact folder, for its own")
 
     @field_validator("arms", "faults")
@@ -155,7 +155,7 @@ class CampaignSpec(Strict):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One flight of a campaign."""
+    """One flight of a campaign, as planned."""
 
     arm: str
     index: int
@@ -164,7 +164,7 @@ class Run:
 
     @property
     def cell(self) -> Cell:
-        """Where it counts."""
+        """The cell (arm, world, fault) of the run."""
         return Cell(self.arm, self.spec.world_name, self.fault)
 
     @property

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 
-from dashboard.campaigns.spec import Cell, Stop
+from dashboard.campaigns.spec import Cell, StoppingSpec
 from dashboard.campaigns.statistics.proportions import wilson
 
 ERROR = 0.05
@@ -15,7 +15,7 @@ ERROR = 0.05
 class StoppingRule:
     """Releases runs look by look. Without a ``stop`` all are released at once."""
 
-    def __init__(self, stop: Stop | None, runs_per_cell: Iterable[Cell], runs: int) -> None:
+    def __init__(self, stop: StoppingSpec | None, runs_per_cell: Iterable[Cell], runs: int) -> None:
         self._planned = Counter(runs_per_cell)
         self._margin = stop.margin if stop is not None else 0.0
         self._looks = (*(stop.looks if stop is not None else ()), runs)

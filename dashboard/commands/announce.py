@@ -10,9 +10,9 @@ from pathlib import Path
 
 import click
 
-from deploy.check import BadSpecError
-from deploy.compose.announced import run_announced
 from deploy.compose.stack_file import NAME
+from deploy.compose.wrapper import run_announced
+from deploy.config.check import BadSpecError
 
 
 @click.command(context_settings={"ignore_unknown_options": True})

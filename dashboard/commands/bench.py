@@ -10,18 +10,18 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from dashboard.commands.options import as_json
-from deploy.check import BadSpecError, check
-from deploy.forkserver import ForkServer
-from deploy.injections import measure_injections
-from deploy.measure import measure, to_toml
-from deploy.samples import SPEC, make_samples, write
-from services.bus.mission import FaultSpec, MissionSpec
+from dashboard.terminal.options import as_json
+from deploy.bench.kernel_samples import SPEC, make_samples, write
+from deploy.bench.pauses import measure_injections
+from deploy.bench.platform import measure, to_toml
+from deploy.config.check import BadSpecError, check
+from deploy.mission.fork_server import ForkServer
+from services.models.mission import FaultSpec, MissionSpec
 
 
 @click.group()
 def bench() -> None:
-    """Measure this machine."""
+    """Measure the speed of this machine."""
 
 
 @bench.command()
@@ -75,7 +75,7 @@ def samples(as_json: bool) -> None:
 @click.option("--flights", type=click.IntRange(1, 10_000), default=12, show_default=True)
 @as_json
 def injector(flights: int, as_json: bool) -> None:
-    """How long injections pause the stack here, by which rungs they are reached, how fast stepping is."""
+    """How long injections pause the stack here, how precisely they are placed, how fast stepping is."""
     check(MissionSpec(fault=FaultSpec(target="pid")))
     server = ForkServer()
     try:

@@ -12,19 +12,21 @@ from typing import Any
 import click
 from rich.console import Console
 
-from dashboard import tables
-from dashboard.campaigns import export, steering
+from dashboard.analysis import tables
+from dashboard.campaigns import commands
 from dashboard.campaigns.executors.choice import FORM, parse_executor, slots_of
 from dashboard.campaigns.forecast import forecast
-from dashboard.campaigns.listing import files, line
 from dashboard.campaigns.presets import presets, scaled
-from dashboard.campaigns.side_by_side import side_by_side
+from dashboard.campaigns.results import export
+from dashboard.campaigns.results.compare import side_by_side
+from dashboard.campaigns.results.summary import summary
 from dashboard.campaigns.spec import load_campaign
-from dashboard.campaigns.store import Campaign, Store, default_folder
-from dashboard.campaigns.summary import summary
-from dashboard.commands.flying import fly, messages, run_new, tell
-from dashboard.commands.options import as_json
-from deploy.check import BadSpecError
+from dashboard.campaigns.store.listing import files, line
+from dashboard.campaigns.store.queries import Campaign, default_folder
+from dashboard.campaigns.store.store import Store
+from dashboard.terminal.campaign_progress import fly, messages, run_new, tell
+from dashboard.terminal.options import as_json
+from deploy.config.check import BadSpecError
 
 Command = Callable[..., Any]
 in_store = click.option(
@@ -103,7 +105,7 @@ def resume(
             found = left[-1]
         else:
             found = opened.find(label)
-        steering.refuse_ended(found)
+        commands.refuse_ended(found)
         limit_mb = disk_mb or found.spec.limits.disk_mb
         spec = found.spec.executor
         at = parse_executor(executor, spec) if executor is not None else spec
@@ -170,7 +172,7 @@ def cancel(label: str, store: str) -> None:
     """Give the campaign LABEL up; what was flown stays."""
     with contextlib.closing(Store(store)) as opened:
         found = opened.find(label)
-        steering.cancel(opened, found)
+        commands.cancel(opened, found)
 
 
 @campaign.command()
@@ -179,7 +181,7 @@ def cancel(label: str, store: str) -> None:
 def pause(label: str, store: str) -> None:
     """Leave the campaign LABEL so that it can be resumed; what is in flight is flown again then."""
     with contextlib.closing(Store(store)) as opened:
-        steering.pause(opened, opened.find(label))
+        commands.pause(opened, opened.find(label))
 
 
 @campaign.command()

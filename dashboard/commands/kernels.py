@@ -15,15 +15,14 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from dashboard.commands.fault import fault_fields
-from dashboard.commands.options import as_json
-from dashboard.kernel_study import RESULTS, WAYS, KernelSummary, Share, divided, summarise
-from deploy.check import check_kernel, check_machine
-from deploy.study import Study
-from deploy.study_file import StudyFile
-from injector.study import StudyRun
-from services.bus.mission import FaultSpec
+from dashboard.analysis.kernel_study import RESULTS, WAYS, KernelSummary, OutcomeShare, divided, summarise
+from dashboard.terminal.options import as_json, fault_fields
+from deploy.config.check import check_kernel, check_machine
+from deploy.kernel_study.file import StudyFile
+from deploy.kernel_study.study import Study
+from injector.kernel_study.study import StudyRun
 from services.kernels import KERNELS
+from services.models.mission import FaultSpec
 
 PAPERS = ("octomap", "rrt", "rrt_connect", "rrt_star", "pid")
 _GROUPS = 12
@@ -45,7 +44,9 @@ def kernels() -> None:
 @click.option(
     "--output", type=click.Path(dir_okay=False, path_type=Path), help="Kept here, and gone on with."
 )
-@click.option("--by", "ways", multiple=True, type=click.Choice(list(WAYS)), help="Tables by what was struck.")
+@click.option(
+    "--by", "ways", multiple=True, type=click.Choice(list(WAYS)), help="Tables by what was corrupted."
+)
 @as_json
 def run(
     names: tuple[str, ...],
@@ -120,18 +121,18 @@ def _outcomes(summaries: list[KernelSummary]) -> Table:
 def _circumstances(summaries: list[KernelSummary]) -> Table:
     title = "how; drawn from: part of the call's instructions; SDC by: median, 95 %, most"
     table = Table(title=title, box=SIMPLE)
-    for column in ("kernel", "rung", "drawn from", "SDC by", "unit", "per s", "CPU ms each"):
+    for column in ("kernel", "precision", "drawn from", "SDC by", "unit", "per s", "CPU ms each"):
         table.add_column(column, justify="left" if column in ("kernel", "unit") else "right")
     for line in summaries:
-        rungs = ", ".join(f"{name} {count}" for name, count in line.rungs.items())
+        precisions = ", ".join(f"{name} {count}" for name, count in line.precisions.items())
         apart = " ".join(f"{one:.2g}" for one in line.deviations) if line.deviations else "-"
         unit = line.unit.partition(":")[0]
         rates = f"{line.per_second:.0f}", f"{line.cpu_ms:.1f}"
-        table.add_row(line.kernel, rungs, f"{line.covered:.0%}", apart, unit, *rates)
+        table.add_row(line.kernel, precisions, f"{line.covered:.0%}", apart, unit, *rates)
     return table
 
 
-def _cells(shares: dict[str, Share], count: int) -> list[str]:
+def _cells(shares: dict[str, OutcomeShare], count: int) -> list[str]:
     return [
         f"{100 * one.count / max(count, 1):.0f} {100 * one.low:.0f}-{100 * one.high:.0f}"
         for one in shares.values()

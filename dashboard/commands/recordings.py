@@ -8,14 +8,14 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from dashboard import tables
-from dashboard.campaigns.store import Store
+from dashboard.analysis import tables
+from dashboard.analysis.propagation import edges, picture, to_dot, with_flown_twin
+from dashboard.analysis.recordings_reader import FlightRecording, open_run
+from dashboard.campaigns.store.store import Store
 from dashboard.commands.campaign import in_store
-from dashboard.commands.options import as_json
-from dashboard.propagation import edges, picture, to_dot, with_flown_twin
-from dashboard.records import Recording, open_run
+from dashboard.terminal.options import as_json
 from dashboard.viewers.viewer import VIEWERS, choose
-from deploy.check import BadSpecError
+from deploy.config.check import BadSpecError
 
 _messages = Console(stderr=True, highlight=False)
 
@@ -61,7 +61,7 @@ def propagation(run: str, twin: str | None, dot: Path | None, store: str, as_jso
         Console().print(tables.propagation(drawn.propagation))
 
 
-def _recording(run: str, where: str) -> Recording:
+def _recording(run: str, where: str) -> FlightRecording:
     """The recording that is named, by its file or as a run of a campaign.
 
     :raises BadSpecError: if there is none.

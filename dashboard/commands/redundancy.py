@@ -8,11 +8,11 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from dashboard.commands.options import as_json
-from deploy.check import BadSpecError
-from deploy.definitions import inlined
-from sim.airframe import BadAirframeError
-from sim.redundancy import RedundancyStudy, study
+from dashboard.terminal.options import as_json
+from deploy.config.check import BadSpecError
+from deploy.config.definitions import inlined
+from sim.vehicle.airframe import BadAirframeError
+from sim.vehicle.redundancy import RedundancyStudy, study
 
 
 def _default(field: str) -> Any:

@@ -10,12 +10,12 @@ from pathlib import Path
 import click
 from pydantic import ValidationError
 
-from dashboard.commands.options import as_json
-from deploy.check import BadSpecError, check, one_line
-from deploy.forkserver import ForkServer
-from deploy.replay import refusal
-from deploy.replay import replay as fly_again
-from services.bus.outcome import Outcome
+from dashboard.terminal.options import as_json
+from deploy.config.check import BadSpecError, check, one_line
+from deploy.mission.fork_server import ForkServer
+from deploy.mission.replay import refusal
+from deploy.mission.replay import replay as fly_again
+from services.models.outcome import Outcome
 
 _NOT_OURS = "not what zenfi fly, campaign run or campaign resume writes with --json"
 

@@ -11,20 +11,20 @@ from typing import Any, NamedTuple
 
 import click
 
-from deploy.check import BadSpecError
-from deploy.mission import Watch
-from deploy.recorder import Recorder
+from deploy.config.check import BadSpecError
+from deploy.mission.flight import Watch
+from deploy.recording.recorder import FlightRecorder
 from deploy.ros2.bridge import Bridge
-from deploy.ros2.domain import ROUTER, Domain, Meeting
+from deploy.ros2.domain import ROUTER, Domain, DomainAddress
 from deploy.ros2.package import write_package
 from deploy.ros2.stage import NobodyError, Relay
-from services.bus.mission import MissionSpec
+from services.models.mission import MissionSpec
 
 
 class RosOptions(NamedTuple):
     """Where a flight is shown, and how many times as fast as real time."""
 
-    meeting: Meeting
+    meeting: DomainAddress
     pace: float
 
 
@@ -44,7 +44,7 @@ def shown_in_ros(command: Callable[..., None]) -> Callable[..., None]:
     def with_ros(
         *arguments: Any, ros_domain: int | None, ros_endpoint: str, ros_pace: float, **more: Any
     ) -> None:
-        meeting = None if ros_domain is None else Meeting(domain=ros_domain, endpoint=ros_endpoint)
+        meeting = None if ros_domain is None else DomainAddress(domain=ros_domain, endpoint=ros_endpoint)
         command(*arguments, ros=None if meeting is None else RosOptions(meeting, ros_pace), **more)
 
     return with_ros
@@ -59,7 +59,7 @@ def in_domain(ros: RosOptions | None, spec: MissionSpec) -> Iterator[Watch | Non
     with Domain(ros.meeting) as domain:
         bridge = Bridge(domain, ros.pace)
 
-        def watch(flown: MissionSpec, recorder: Recorder) -> None:
+        def watch(flown: MissionSpec, recorder: FlightRecorder) -> None:
             if (flown.fault is None) == (spec.fault is None):
                 bridge.show(recorder)
 
@@ -91,7 +91,7 @@ def package(folder: Path) -> None:
 def stage(domain: int, endpoint: str, awaited: tuple[str, ...], patience_s: float) -> None:
     """Let a ROS 2 node take a stage's place: the command of a stage in a stack file."""
     try:
-        with Domain(Meeting(domain=domain, endpoint=endpoint)) as joined:
+        with Domain(DomainAddress(domain=domain, endpoint=endpoint)) as joined:
             Relay(joined, awaited, patience_s).serve(sys.stdin.buffer, sys.stdout.buffer)
     except (BadSpecError, NobodyError) as error:
         click.echo(str(error))  # in the place of an answer: whoever awaits one tells it

@@ -10,7 +10,7 @@ from types import FrameType
 
 import click
 
-from dashboard.campaigns.store import Store
+from dashboard.campaigns.store.store import Store
 from dashboard.commands.campaign import in_slots, in_store
 
 
@@ -29,7 +29,7 @@ from dashboard.commands.campaign import in_slots, in_store
 @in_store
 def serve(host: str, port: int, stacks: tuple[Path, ...], slots: int | None, store: str) -> None:
     """Serve the REST API, and fly the campaigns that it is asked for, until SIGTERM."""
-    from dashboard.api.server import serve as run  # noqa: PLC0415 - slow to import, needed here alone
+    from dashboard.server import serve as run  # noqa: PLC0415 - slow to import, needed here alone
 
     run(store, host, port, slots, stacks)
 
@@ -39,7 +39,7 @@ def serve(host: str, port: int, stacks: tuple[Path, ...], slots: int | None, sto
 @in_store
 def foxglove(port: int, store: str) -> None:
     """Show this machine's flights live in Foxglove, those of campaigns and of the service, until SIGTERM."""
-    from dashboard.live import serve as show  # noqa: PLC0415 - needed here alone
+    from dashboard.viewers.foxglove import serve as show  # noqa: PLC0415 - needed here alone
 
     def leave(_signal: int, _frame: FrameType | None) -> None:
         sys.exit(0)

@@ -10,21 +10,20 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from dashboard import stack_tables
-from dashboard.commands.options import as_json
-from deploy.check import BadSpecError
+from dashboard.terminal import stack_tables
+from dashboard.terminal.options import as_json
 from deploy.compose import control
 from deploy.compose.bus import all_stacks
-from deploy.compose.control import NotUpError, Request, ask, stacks_up, wait
-from deploy.compose.family import clear_marked
+from deploy.compose.control import ControlRequest, NotUpError, StackView, ask, stacks_up, wait
+from deploy.compose.daemon import start
 from deploy.compose.folder import TakenError, held, log_file, logs_folder, stack_folder
-from deploy.compose.following import Following, tail
-from deploy.compose.phases import MOVING
+from deploy.compose.logs import LogFollower, tail
+from deploy.compose.process_tree import clear_marked
 from deploy.compose.reading import read_stack
 from deploy.compose.stack_file import SUPERVISOR, Stack
-from deploy.compose.start import start
-from deploy.compose.view import StackView
-from deploy.supervisor import InfrastructureError
+from deploy.compose.state_machine import MOVING
+from deploy.config.check import BadSpecError
+from deploy.errors import InfrastructureError
 
 _FOLLOW_PAUSE_S = 0.1
 _messages = Console(stderr=True, highlight=False)
@@ -46,7 +45,7 @@ def up(file: Path | None, foxglove: bool, detach: bool, as_json: bool) -> None:
     stack = read_stack(file, foxglove=foxglove)
     folder = stack_folder(stack.name)
     try:
-        ask(folder, Request(do="declare", stack=stack))
+        ask(folder, ControlRequest(do="declare", stack=stack))
     except NotUpError:
         if not detach:
             _attend(stack)
@@ -72,7 +71,7 @@ def _attend(stack: Stack) -> None:
                 asked += 1
                 _messages.print("going down; Ctrl-C again kills what is left" if asked == 1 else "killing")
                 with contextlib.suppress(NotUpError):
-                    ask(stack_folder(stack.name), Request(do="down"))
+                    ask(stack_folder(stack.name), ControlRequest(do="down"))
     if asked:
         raise KeyboardInterrupt
     if supervisor.returncode:
@@ -81,12 +80,14 @@ def _attend(stack: Stack) -> None:
 
 
 @contextlib.contextmanager
-def _following(logs: Mapping[str, Path]) -> Iterator[dict[str, Following]]:
+def _following(logs: Mapping[str, Path]) -> Iterator[dict[str, LogFollower]]:
     with contextlib.ExitStack() as files:
-        yield {name: files.enter_context(contextlib.closing(Following(path))) for name, path in logs.items()}
+        yield {
+            name: files.enter_context(contextlib.closing(LogFollower(path))) for name, path in logs.items()
+        }
 
 
-def _show(following: dict[str, Following]) -> None:
+def _show(following: dict[str, LogFollower]) -> None:
     width = max(map(len, following), default=0)
     for name, one in following.items():
         for line in one.lines():
@@ -137,7 +138,7 @@ def logs(names: tuple[str, ...], stack: str | None, follow: bool, lines: int) ->
 @as_json
 def restart(names: tuple[str, ...], stack: str | None, as_json: bool) -> None:
     """Stop processes and start them again; also those that were stopped or have failed."""
-    _order(stack, Request(do="restart", names=names), as_json)
+    _order(stack, ControlRequest(do="restart", names=names), as_json)
 
 
 @click.command()
@@ -146,10 +147,10 @@ def restart(names: tuple[str, ...], stack: str | None, as_json: bool) -> None:
 @as_json
 def stop(names: tuple[str, ...], stack: str | None, as_json: bool) -> None:
     """Stop processes; ``zenfi restart`` starts them again."""
-    _order(stack, Request(do="stop", names=names), as_json)
+    _order(stack, ControlRequest(do="stop", names=names), as_json)
 
 
-def _order(stack: str | None, request: Request, as_json: bool) -> None:
+def _order(stack: str | None, request: ControlRequest, as_json: bool) -> None:
     def carried_out(view: StackView) -> bool:
         named = [one for one in view.processes if one.name in request.names]
         return not any(one.phase in MOVING for one in named)
@@ -193,7 +194,7 @@ def _the_only() -> Path:
 
 def _the(stack: str | None) -> StackView:
     """The stack of that name, or the only one that is up."""
-    return ask(_folder(stack), Request(do="tell"))
+    return ask(_folder(stack), ControlRequest(do="tell"))
 
 
 def _folder(stack: str | None) -> Path:

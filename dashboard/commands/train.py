@@ -11,21 +11,20 @@ import click
 from rich.console import Console
 from rich.progress import track
 
-from dashboard import detection
-from dashboard.commands.fault import FORM, parse_fault
-from dashboard.commands.options import as_json
-from deploy.check import BadSpecError, check
-from deploy.definitions import inlined
-from deploy.forkserver import ForkServer
-from deploy.watch import record as fly_and_watch
-from detector.evaluation import evaluate as judge
-from detector.flips import largest_changes
-from detector.lessons import save_lessons
-from detector.model import Provenance, digest, make, read_model, to_json
-from detector.scheme import Scheme
-from detector.schemes import load_detector, scheme, scheme_names, with_models
-from detector.series import load_folder, load_series
-from services.bus.mission import MissionSpec
+from dashboard.analysis import detection
+from dashboard.terminal.options import FAULT_FORM, as_json, parse_fault
+from deploy.bench.detector_series import record as fly_and_watch
+from deploy.config.check import BadSpecError, check
+from deploy.config.definitions import inlined
+from deploy.mission.fork_server import ForkServer
+from detector.evaluation.evaluation import evaluate as judge
+from detector.evaluation.flips import largest_changes
+from detector.evaluation.lessons import save_lessons
+from detector.schemes.base import Scheme
+from detector.schemes.model_files import Provenance, digest, make, read_model, to_json
+from detector.schemes.registry import load_detector, scheme, scheme_names, with_models
+from detector.series.series import load_folder, load_series
+from services.models.mission import MissionSpec
 
 TRAINING = ("train-0.05-3", "train-0.05-5", "train-0.2-3", "train-0.2-5")
 SEEDS = 25
@@ -46,7 +45,7 @@ class _Trainers(click.Group):
     """One command for each scheme that is installed, beside those that are written here."""
 
     def list_commands(self, context: click.Context) -> list[str]:
-        """Ours, then the schemes."""
+        """The commands of this group, then the schemes."""
         return [*super().list_commands(context), *scheme_names()]
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
@@ -68,7 +67,7 @@ def train() -> None:
 @click.option(
     "--seeds", type=click.IntRange(1, 2**32), default=SEEDS, show_default=True, help="0 to this, less one."
 )
-@click.option("--fault", metavar=FORM, help="As in `zenfi fly`; the fault's seed is the flight's.")
+@click.option("--fault", metavar=FAULT_FORM, help="As in `zenfi fly`; the fault's seed is the flight's.")
 @click.option("--planner", default="rrt_star", show_default=True)
 @click.option("--platform", default="i9-9940x", show_default=True, metavar="NAME|FILE.toml")
 def record(output: Path, worlds: tuple[str, ...], seeds: int, fault: str | None, **fields: Any) -> None:

@@ -9,12 +9,12 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from dashboard import plan
-from dashboard.commands.options import as_json
-from deploy.check import BadSpecError
-from deploy.definitions import inlined
-from services.bus.mission import MissionSpec
-from sim.survey import Survey, survey
+from dashboard.analysis import plan
+from dashboard.terminal.options import as_json
+from deploy.config.check import BadSpecError
+from deploy.config.definitions import inlined
+from services.models.mission import MissionSpec
+from sim.mission.coverage import WorldFigures, survey
 from sim.world import BadWorldError, World, definition, make_world, to_toml, world_names
 
 seed = click.option("--seed", type=int, default=0, show_default=True, help="Seed of what is drawn.")
@@ -29,7 +29,7 @@ def world() -> None:
 @world.command("list")
 @as_json
 def list_worlds(as_json: bool) -> None:
-    """The worlds that come along."""
+    """List the worlds that are installed with zenfi."""
     for one in world_names():
         kind = definition(one).kind
         click.echo(json.dumps({"name": one, "kind": kind}) if as_json else f"{one:14} {kind}")
@@ -90,7 +90,7 @@ def _write(path: Path, content: bytes) -> None:
         raise BadSpecError(message) from error
 
 
-def _table(made: World, figures: Survey) -> Table:
+def _table(made: World, figures: WorldFigures) -> Table:
     table = Table(title=f"{made.name}, seed {made.seed}", show_header=False)
     for label, value in (
         ("obstacles", str(figures.obstacles)),

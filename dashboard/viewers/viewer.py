@@ -14,8 +14,8 @@ from pathlib import Path
 from types import MappingProxyType
 
 from dashboard.viewers import blueprint
-from deploy.check import BadSpecError
-from deploy.supervisor import InfrastructureError
+from deploy.config.check import BadSpecError
+from deploy.errors import InfrastructureError
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class Viewer:
 
     @property
     def found(self) -> str | None:
-        """Where it is installed."""
+        """The path of the installed viewer."""
         return shutil.which(self.program)
 
 

@@ -13,22 +13,12 @@ from starlette.routing import Match, Mount
 from starlette.types import Message, Receive, Scope, Send
 
 from dashboard.api.service import Service
-from dashboard.web import (
-    campaign_page,
-    compare_page,
-    flight_style,
-    frame,
-    home_page,
-    live_page,
-    login,
-    new_page,
-    run_page,
-    studies_page,
-    system_page,
-)
+from dashboard.web.charts import flight_style
+from dashboard.web.components import frame
+from dashboard.web.pages import campaign, compare, home, live, login, new, run, studies, system
 
-PAGES = (home_page, new_page, campaign_page, run_page, live_page, compare_page, studies_page, system_page)
-"""A module per page; each has ``register(here)``."""
+PAGES = (home, new, campaign, run, live, compare, studies, system)
+"""A module per page; each has ``register(service)``."""
 
 NOT_PAGES = ("/api/", "/health", "/ready", "/metrics")
 """What the API answers itself, also that there is no such path."""
@@ -43,11 +33,11 @@ POLICY = (
 """Nothing from another host, and no page of others around ours. NiceGUI's scripts stand in the page."""
 
 
-def mount(app: FastAPI, here: Service) -> None:
+def mount(app: FastAPI, service: Service) -> None:
     """Have ``app`` answer with pages what is no path of the API. Once a process: NiceGUI is one."""
     app.include_router(login.router)
     for page in PAGES:
-        page.register(here)
+        page.register(service)
     pages.add_exception_handler(404, _missing)
     pages.add_exception_handler(RequestValidationError, _missing)
     # NiceGUI knows languages of countries only, and loads texts of its own for each.
@@ -81,13 +71,13 @@ class _Pages(Mount):
     """Everything but the API's paths; answers with the policy."""
 
     def matches(self, scope: Scope) -> tuple[Match, Scope]:
-        """Whether a path is a page's."""
+        """Whether a path is the address of a page."""
         if scope.get("path", "").startswith(NOT_PAGES):
             return Match.NONE, {}
         return super().matches(scope)
 
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer, under the policy."""
+        """Answer with the content security policy."""
 
         async def told(message: Message) -> None:
             if message["type"] == "http.response.start":

@@ -1,8 +1,8 @@
-"""The stack on Zenoh: where its processes meet, and where its state is told.
+"""The stack on Zenoh: where its processes announce themselves, and where its state is published.
 
 The supervisor's session is the router of the stack's processes: ``ZENFI_STACK`` is the folder and
-``ZENFI_NAMESPACE`` the namespace of their :class:`services.bus.session.Meeting`. Zenoh calls back on threads
-of its own; all that happens there is to hand over to the supervisor's loop.
+``ZENFI_NAMESPACE`` the namespace of their :class:`services.bus.session.BusAddress`. Zenoh calls back on
+threads of its own; all that happens there is to hand over to the supervisor's loop.
 """
 
 from __future__ import annotations
@@ -19,12 +19,11 @@ from pathlib import Path
 import zenoh
 from pydantic import ValidationError
 
-from deploy.compose.family import MARK
-from deploy.compose.life import NAMESPACE
+from deploy.compose.control import ProcessView, StackView
+from deploy.compose.process_tree import MARK, NAMESPACE
 from deploy.compose.stack_file import Bus
-from deploy.compose.view import ProcessView, StackView
 from services.bus import announce
-from services.bus.session import Meeting, hand_over, open_session
+from services.bus.session import BusAddress, hand_over, open_session
 
 STATE = "supervisor/state"
 """Answers queries with a :class:`StackView`."""
@@ -49,19 +48,19 @@ def namespace(stack: str) -> str:
     return f"zenfi/stack/{host()}/{stack}"
 
 
-def own_meeting() -> Meeting | None:
+def own_address() -> BusAddress | None:
     """Where a process of a stack finds the others of its stack; None if it is of no stack."""
     folder = os.environ.get(MARK)
-    return Meeting(Path(folder), os.environ[NAMESPACE]) if folder else None
+    return BusAddress(Path(folder), os.environ[NAMESPACE]) if folder else None
 
 
 class StackBus:
-    """The supervisor's session."""
+    """The supervisor's Zenoh session: it follows announcements, publishes changes and answers queries."""
 
     def __init__(self, folder: Path, stack: str, beyond: Bus) -> None:
         self._loop = asyncio.get_running_loop()
         self.session = open_session(
-            Meeting(folder, namespace(stack)), _ROUTER, router=True, more=_settings(folder, beyond)
+            BusAddress(folder, namespace(stack)), _ROUTER, router=True, more=_settings(folder, beyond)
         )
         self._tokens: set[str] = set()
         self._declared: list[zenoh.Subscriber[None] | zenoh.Queryable[None]] = []
@@ -93,7 +92,7 @@ class StackBus:
             self._loop.call_soon_threadsafe(call, *arguments)
 
     def announcements(self, name: str) -> Iterator[announce.Announcement]:
-        """The claims to be the node of that name that stand."""
+        """The announcements under that name that still stand."""
         for key in self._tokens:
             with contextlib.suppress(ValueError):
                 claim = announce.Announcement.parse(key)
@@ -105,11 +104,11 @@ class StackBus:
         return self.session.declare_subscriber(key, hand_over(lambda _: self._hand_over(call)))
 
     def publish(self, view: ProcessView) -> None:
-        """Tell a change."""
+        """Publish a change of one process."""
         self.session.put(changes_key(view.name), view.model_dump_json())
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Close the supervisor's Zenoh session."""
         self.session.close()  # type: ignore[no-untyped-call]
 
 
@@ -122,7 +121,7 @@ def _settings(folder: Path, beyond: Bus) -> dict[str, object]:
         "connect/retry": {"period_init_ms": 200, "period_max_ms": 5000, "period_increase_factor": 2},
     }
     if beyond.listen:
-        own = Meeting(folder, "").endpoint(_ROUTER)
+        own = BusAddress(folder, "").endpoint(_ROUTER)
         more["listen/endpoints"] = [own, *beyond.listen]
     if beyond.connect:
         more["connect/endpoints"] = list(beyond.connect)
@@ -142,7 +141,7 @@ def all_stacks(folder: Path) -> list[StackView]:
     config = zenoh.Config()
     for key, value in (
         ("mode", "client"),
-        ("connect/endpoints", [Meeting(folder, "").endpoint(_ROUTER)]),
+        ("connect/endpoints", [BusAddress(folder, "").endpoint(_ROUTER)]),
         ("scouting/multicast/enabled", False),
         ("scouting/delay", 0),
     ):

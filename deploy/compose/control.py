@@ -1,12 +1,14 @@
-"""How a supervisor is asked and ordered: a line of JSON each way over a Unix socket in its folder."""
+"""The control socket of a supervisor: requests and the stack's state, a line of JSON each way."""
 
 from __future__ import annotations
 
+import asyncio
 import os
 import select
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Literal, Self
 
@@ -14,8 +16,71 @@ from pydantic import ValidationError, model_validator
 
 from deploy.compose.folder import CONTROL, StackError, check_private, stack_folder, stacks_folder
 from deploy.compose.stack_file import Stack
-from deploy.compose.view import StackView
-from services.bus.model import Strict
+from deploy.compose.state_machine import MOVING, Phase
+from services.models.base import Strict
+from services.system.json_lines import line_of
+
+
+class ProcessView(Strict):
+    """The state of one process of a stack, as its supervisor reports it.
+
+    ``processes``, ``cpu_s`` and ``memory_bytes`` are of its whole family now alive (``memory_bytes`` counts
+    shared pages with each); ``cpu_percent`` is ps(1)'s: of one processor, over the time that it has run.
+    ``life`` counts its starts, ``restarts`` those of them that its policy ordered. ``status`` is of the last
+    end, negative for a signal. ``cleared`` counts the processes that had to be killed after their
+    leader had ended, ``unkilled`` those of other users that could not be.
+    """
+
+    name: str
+    phase: Phase
+    wanted: bool
+    since: datetime
+    pid: int | None
+    life: int
+    restarts: int
+    status: int | None
+    reason: str
+    processes: int
+    cpu_s: float
+    cpu_percent: float
+    memory_bytes: int
+    lost_lines: int
+    cleared: int
+    unkilled: int
+    log: Path
+
+
+class StackView(Strict):
+    """The state of one stack, as its supervisor (process ``pid``) reports it.
+
+    ``cleared`` counts processes of an earlier supervisor of the stack, killed at the start, ``strays``
+    those that were left by a reaper that somebody killed, ``stale`` events of starts that were over.
+    """
+
+    name: str
+    host: str
+    pid: int
+    since: datetime
+    leaving: bool
+    folder: Path
+    namespace: str
+    log: Path
+    cleared: int
+    strays: int
+    stale: int
+    signals: Mapping[str, int]
+    processes: tuple[ProcessView, ...]
+
+    @property
+    def moving(self) -> bool:
+        """Whether something is under way; else every process is ready, at rest, or waits in vain."""
+        return any(one.phase in MOVING for one in self.processes)
+
+    @property
+    def amiss(self) -> list[ProcessView]:
+        """The processes that failed, then those that wait for one that did."""
+        return [one for phase in ("failed", "pending") for one in self.processes if one.phase == phase]
+
 
 LINE_BYTES = 1 << 24
 _ANSWER_S = 60.0
@@ -26,12 +91,12 @@ class NotUpError(StackError):
     """No supervisor answers for the stack."""
 
 
-class RefusedError(StackError):
-    """The supervisor does not do what it was asked."""
+class ControlRefusedError(StackError):
+    """The supervisor refuses the request."""
 
 
-class Request(Strict):
-    """What somebody wants: to know the state, or to change it. ``names`` empty: every process."""
+class ControlRequest(Strict):
+    """A request for the state of a stack or for a change of it. ``names`` empty: every process."""
 
     do: Literal["tell", "declare", "start", "stop", "restart", "down"]
     names: tuple[str, ...] = ()
@@ -44,29 +109,29 @@ class Request(Strict):
         return self
 
 
-class Answer(Strict):
-    """What came of it: the state after the order was taken (not yet carried out), or why it was refused."""
+class ControlAnswer(Strict):
+    """The answer to a request: the state after it was taken (not yet carried out), or why it was refused."""
 
     view: StackView | None = None
     error: str = ""
 
 
-def parse(line: bytes) -> Request:
-    """A request as it came.
+def parse(line: bytes) -> ControlRequest:
+    """Parse one line of JSON as a request.
 
-    :raises RefusedError: if it is none.
+    :raises ControlRefusedError: if it is none.
     """
     try:
-        return Request.model_validate_json(line)
+        return ControlRequest.model_validate_json(line)
     except ValidationError as error:
-        raise RefusedError(f"not a request: {error.errors()[0]['msg']}") from error
+        raise ControlRefusedError(f"not a request: {error.errors()[0]['msg']}") from error
 
 
-def ask(folder: Path, request: Request) -> StackView:
-    """Put a request to the supervisor of the stack in ``folder``; the stack's state.
+def ask(folder: Path, request: ControlRequest) -> StackView:
+    """Send a request to the supervisor of the stack in ``folder``; the stack's state.
 
     :raises NotUpError: if nobody answers.
-    :raises RefusedError: if it was refused.
+    :raises ControlRefusedError: if it was refused.
     """
     with socket.socket(socket.AF_UNIX) as connection:
         connection.settimeout(_ANSWER_S)
@@ -74,7 +139,7 @@ def ask(folder: Path, request: Request) -> StackView:
             for one in (folder.parent, folder):
                 check_private(one)
             connection.connect(str(folder / CONTROL))
-            connection.sendall(request.model_dump_json().encode() + b"\n")
+            connection.sendall(line_of(request))
             with connection.makefile("rb") as answers:
                 line = answers.readline(LINE_BYTES)
         except OSError as error:
@@ -83,9 +148,9 @@ def ask(folder: Path, request: Request) -> StackView:
     if not line:
         message = f"stack {folder.name} has just ended"
         raise NotUpError(message)
-    answer = Answer.model_validate_json(line)
+    answer = ControlAnswer.model_validate_json(line)
     if answer.view is None:
-        raise RefusedError(answer.error)
+        raise ControlRefusedError(answer.error)
     return answer.view
 
 
@@ -94,7 +159,7 @@ def state(name: str) -> StackView:
 
     :raises NotUpError: if it is not up.
     """
-    return ask(stack_folder(name), Request(do="tell"))
+    return ask(stack_folder(name), ControlRequest(do="tell"))
 
 
 def stacks_up() -> list[StackView]:
@@ -102,20 +167,20 @@ def stacks_up() -> list[StackView]:
     views = []
     for folder in sorted(stacks_folder().glob("*")):
         try:
-            views.append(ask(folder, Request(do="tell")))
+            views.append(ask(folder, ControlRequest(do="tell")))
         except NotUpError:
             continue
     return views
 
 
 def down(folder: Path) -> None:
-    """Have a stack go down and wait until its supervisor is gone, which is the last of it.
+    """Take a stack down and wait until its supervisor has ended.
 
     :raises NotUpError: if it is not up.
     """
-    supervisor = os.pidfd_open(ask(folder, Request(do="tell")).pid)
+    supervisor = os.pidfd_open(ask(folder, ControlRequest(do="tell")).pid)
     try:
-        ask(folder, Request(do="down"))
+        ask(folder, ControlRequest(do="down"))
         select.select([supervisor], [], [])
     finally:
         os.close(supervisor)
@@ -126,6 +191,32 @@ def wait(folder: Path, until: Callable[[StackView], bool]) -> StackView:
 
     :raises NotUpError: if the supervisor ends meanwhile.
     """
-    while not until(view := ask(folder, Request(do="tell"))):
+    while not until(view := ask(folder, ControlRequest(do="tell"))):
         time.sleep(_POLL_S)
     return view
+
+
+async def serve(folder: Path, answer: Callable[[ControlRequest], StackView]) -> asyncio.Server:
+    """Answer requests on the control socket in ``folder``, which is private."""
+
+    async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            while line := await reader.readline():
+                writer.write(line_of(_answer(line, answer)))
+                await writer.drain()
+        except (ConnectionError, ValueError):  # gone, or a line without end
+            pass
+        finally:
+            writer.close()
+
+    path = folder / CONTROL
+    server = await asyncio.start_unix_server(converse, path, limit=LINE_BYTES)
+    os.chmod(path, 0o600)  # noqa: PTH101 - the socket's own mode
+    return server
+
+
+def _answer(line: bytes, answer: Callable[[ControlRequest], StackView]) -> ControlAnswer:
+    try:
+        return ControlAnswer(view=answer(parse(line)))
+    except ControlRefusedError as error:
+        return ControlAnswer(error=str(error))

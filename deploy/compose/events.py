@@ -1,6 +1,6 @@
-"""What can happen to the processes of a stack, and what is to be done about it (:mod:`.states`).
+"""Events of a stack's processes and the actions that follow (:mod:`.state_machine`).
 
-``life`` counts the starts of one process: what is told of an earlier life is stale.
+``life`` counts the starts of one process: an event of an earlier start is stale.
 """
 
 from __future__ import annotations
@@ -13,35 +13,35 @@ from deploy.compose.stack_file import ProcessSpec
 
 @dataclass(frozen=True, slots=True)
 class Declare:
-    """These are the processes now: new ones begin, changed ones begin anew, the others end."""
+    """The processes of the stack are declared: new ones begin, changed ones begin anew, the others end."""
 
     specs: Mapping[str, ProcessSpec]
 
 
 @dataclass(frozen=True, slots=True)
 class Want:
-    """Somebody wants these processes, and what they need, to run."""
+    """A client wants these processes, and those that they need, to run."""
 
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Unwant:
-    """Somebody wants these processes to end, those first that need others of them."""
+    """A client wants these processes to end, first those that need others of them."""
 
     names: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Again:
-    """Somebody wants a process to end and to start again."""
+class Restart:
+    """A client wants a process to end and to start again."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
 class Launched:
-    """The process runs."""
+    """A process was started and runs under its reaper."""
 
     name: str
     life: int
@@ -57,7 +57,7 @@ class NotLaunched:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class SignsSeen:
     """Every sign of readiness has been seen."""
 
     name: str
@@ -74,16 +74,16 @@ class Ended:
 
 
 @dataclass(frozen=True, slots=True)
-class Passed:
-    """Time has passed."""
+class TimePassed:
+    """A deadline or pause of a process may be over."""
 
 
-Event = Declare | Want | Unwant | Again | Launched | NotLaunched | Seen | Ended | Passed
+Event = Declare | Want | Unwant | Restart | Launched | NotLaunched | SignsSeen | Ended | TimePassed
 
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """Start the process."""
+    """Start a process under a reaper of its own."""
 
     name: str
     life: int

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from deploy.compose.stack_file import NAME, Stack
-from deploy.scratch import SOCKET_PATH_LIMIT
+from deploy.config.workdir import SOCKET_PATH_LIMIT
 
 CONTROL = "control.sock"
 DYING_S = 5.0
@@ -30,7 +30,7 @@ _LONGEST_NAME = len("/" + 31 * "n" + ".sock.lock")
 
 
 class StackError(ValueError):
-    """What was asked of a stack cannot be: one line that says why."""
+    """A stack cannot do what was asked: one line that says why."""
 
 
 class UnsafeFolderError(StackError):
@@ -38,7 +38,7 @@ class UnsafeFolderError(StackError):
 
 
 class TakenError(StackError):
-    """The stack is up already."""
+    """A stack of that name is up already."""
 
 
 def stacks_folder() -> Path:

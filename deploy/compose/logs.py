@@ -1,10 +1,16 @@
-"""Log files: a line per line with the time it came, rotated, and bounded in how fast they grow."""
+"""Log files: lines with the time they came, rotated, bounded in how fast they grow; and how to read them."""
 
 from __future__ import annotations
 
+import contextlib
+import heapq
+import os
 import time
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import BinaryIO
 
 from deploy.compose.stack_file import LogLimits
 
@@ -15,15 +21,15 @@ READ_BYTES = 1 << 16
 
 
 def stamp() -> str:
-    """Now, in UTC."""
+    """The current time in UTC, as log lines begin with it."""
     return datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 class Log:
-    """The log of one process over all its lives.
+    """The log of one process over all its starts.
 
     ``lost`` counts the lines that were not kept: more came than the limits grant, or the disk refused.
-    Each gap is also told in the log itself, at its place.
+    Each gap is also noted in the log itself, at its place.
     """
 
     def __init__(self, path: Path, limits: LogLimits) -> None:
@@ -38,7 +44,7 @@ class Log:
         self._file = path.open("ab", buffering=0)
 
     def take(self, data: bytes) -> bool:
-        """Keep what a process wrote; False if it writes more than it may."""
+        """Add what a process wrote; False if it writes more than it may."""
         self._refill()
         *lines, rest = (self._rest + data).split(b"\n")
         while len(rest) > LINE_BYTES:
@@ -50,14 +56,14 @@ class Log:
         return self.lost == lost
 
     def end_line(self) -> None:
-        """The writer is gone: what it wrote last is a line, and what was lost is told."""
+        """End the last line once the writer is gone, and note how much was lost."""
         if self._rest:
             rest, self._rest = self._rest, b""
             self._keep([rest])
         self._tell_gap()
 
     def tell_gap_if_over(self) -> None:
-        """Once the flood is over, say in the log how much of it is missing."""
+        """Once the flood is over, note in the log how much of it is missing."""
         self._refill()
         if self._untold and self._grant > self.limits.bytes_per_s / 2:
             self._tell_gap()
@@ -95,7 +101,7 @@ class Log:
                 self._untold = untold
 
     def _write(self, stamped: bytes) -> bool:
-        """Whether it could be written; on a full disk the supervisor goes on, and counts."""
+        """Write to the file; False if that failed: on a full disk the supervisor goes on, and counts."""
         try:
             if self._file.tell() + len(stamped) > self.limits.file_bytes:
                 self._rotate()
@@ -120,3 +126,65 @@ class Log:
 def rotated(path: Path, number: int) -> Path:
     """The file that a log became ``number`` rotations ago."""
     return path.with_name(f"{path.name}.{number}")
+
+
+def tail(logs: Mapping[str, Path], lines: int) -> list[tuple[str, str]]:
+    """The last ``lines`` lines of each log with the log's name, all in the order in which they came."""
+    return list(heapq.merge(*(_last(name, path, lines) for name, path in logs.items()), key=_when))
+
+
+def _when(line: tuple[str, str]) -> str:
+    return line[1].partition(" ")[0]
+
+
+def _last(name: str, path: Path, lines: int) -> Iterable[tuple[str, str]]:
+    found: deque[tuple[str, str]] = deque(maxlen=lines)
+    for one in (rotated(path, 1), path):
+        with contextlib.suppress(FileNotFoundError), one.open(errors="replace") as file:
+            found.extend((name, line.rstrip("\n")) for line in file)
+    return found
+
+
+class LogFollower:
+    """Reads what is appended to one log from now on."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file = self._opened()
+        self._rest = b""
+        if self._file is not None:
+            self._file.seek(0, os.SEEK_END)
+
+    def _opened(self) -> BinaryIO | None:
+        try:
+            return self._path.open("rb")
+        except FileNotFoundError:
+            return None
+
+    def lines(self) -> Iterator[str]:
+        """Whole lines that came since the last call.
+
+        More than a whole rotation between two calls is missed; the log itself has it.
+        """
+        if self._file is None:
+            self._file = self._opened()
+        while self._file is not None:
+            *lines, self._rest = (self._rest + self._file.read()).split(b"\n")
+            yield from (line.decode(errors="replace") for line in lines)
+            if self._is_current():
+                return
+            self._file.close()
+            self._file = self._opened()
+
+    def _is_current(self) -> bool:
+        """Whether the log is still this file, or has moved on to a new one."""
+        assert self._file is not None  # noqa: S101 - asked only while it is open
+        try:
+            return os.fstat(self._file.fileno()).st_ino == self._path.stat().st_ino
+        except FileNotFoundError:
+            return True
+
+    def close(self) -> None:
+        """Close the log file that is followed."""
+        if self._file is not None:
+            self._file.close()

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from deploy.check import BadSpecError, one_line
 from deploy.compose.stack_file import Bus, Stack
-from deploy.definitions import read_toml
+from deploy.config.check import BadSpecError, one_line
+from deploy.config.definitions import read_toml
 
 DEFAULT = Path(__file__).parents[1] / "stacks" / "laboratory.toml"
 """What a laboratory needs; ``zenfi up`` with nothing said. Its processes work where ``zenfi`` was called."""

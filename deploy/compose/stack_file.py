@@ -1,4 +1,4 @@
-"""What a stack file says: the processes of a laboratory, what they need and how they are treated."""
+"""The format of stack files: the processes of a laboratory, what they need and how they are treated."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 from pydantic import Field, StringConstraints, field_validator, model_validator
 
-from services.bus.model import Strict
+from services.models.base import Strict
 
 SUPERVISOR = "supervisor"
 """The name under which the supervisor's own log is asked for."""
@@ -47,7 +47,7 @@ class Readiness(Strict):
 
     @property
     def signs(self) -> frozenset[str]:
-        """What must be seen of a running process."""
+        """The signs of readiness that must be seen of a running process."""
         return frozenset(name for name in ("announces", "publishes", "http") if getattr(self, name))
 
     @model_validator(mode="after")
@@ -70,7 +70,7 @@ class BackOff(Strict):
         return float(min(self.first_s * self.factor ** min(restarts, 64), self.most_s))
 
 
-class Stop(Strict):
+class StopPolicy(Strict):
     """The signal that asks the process to end, and how long it may take until all of it is killed."""
 
     signal: Literal["SIGTERM", "SIGINT", "SIGQUIT", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGKILL"] = "SIGTERM"
@@ -78,7 +78,7 @@ class Stop(Strict):
 
     @property
     def number(self) -> int:
-        """The signal's number."""
+        """The number of the stop signal."""
         return int(signal.Signals[self.signal])
 
 
@@ -104,7 +104,7 @@ class ProcessSpec(Strict):
     restarts: Annotated[int, Field(ge=0, le=1_000_000)] = 5
     settled_s: Seconds = 10.0
     backoff: BackOff = BackOff()
-    stop: Stop = Stop()
+    stop: StopPolicy = StopPolicy()
     environment: Mapping[
         Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")], Text | Literal[""]
     ] = {}

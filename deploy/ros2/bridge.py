@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 from rosbags.typesys.stores.ros2_jazzy import rosgraph_msgs__msg__Clock as Clock
 
-from deploy.recorder import Recorder
+from deploy.recording.recorder import FlightRecorder
 from deploy.ros2.domain import Domain
 from services.bus.horizon import Stamped
 from services.bus.messages import encode, header
@@ -54,15 +54,15 @@ class Bridge:
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
 
-    def show(self, recorder: Recorder) -> None:
-        """A flight begins: show it."""
+    def show(self, recorder: FlightRecorder) -> None:
+        """Begin to show a flight; called at its start."""
         self._thread = threading.Thread(target=self._run, args=(recorder,), daemon=True)
         self._thread.start()
 
     def finish(self) -> None:
-        """The flight is over: return when all of it has been shown.
+        """Mark the end of the flight and wait until all of it has been shown.
 
-        :raises BaseException: what the bridge failed of, if it did.
+        :raises BaseException: the error by which the bridge failed, if it did.
         """
         self._landed.set()
         if self._thread is not None:
@@ -70,13 +70,13 @@ class Bridge:
         if self._error is not None:
             raise self._error
 
-    def _run(self, recorder: Recorder) -> None:
+    def _run(self, recorder: FlightRecorder) -> None:
         try:
             self._show_all(recorder)
         except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
             self._error = error
 
-    def _show_all(self, recorder: Recorder) -> None:
+    def _show_all(self, recorder: FlightRecorder) -> None:
         begun = time.monotonic()
         while True:
             landed = self._landed.is_set()  # before the last look, so that nothing is left
@@ -88,7 +88,7 @@ class Bridge:
                 return
             time.sleep(LOOK_S)
 
-    def _news(self, recorder: Recorder) -> Iterator[tuple[str, Stamped]]:
+    def _news(self, recorder: FlightRecorder) -> Iterator[tuple[str, Stamped]]:
         for topic, shown in self._shown.items():
             for message in recorder.since(topic, shown):
                 self._shown[topic] += 1

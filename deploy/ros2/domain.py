@@ -12,28 +12,28 @@ import zenoh
 import zenoh.ext
 from pydantic import Field, ValidationError
 
-from deploy.check import BadSpecError
 from deploy.compose.stack_file import Bus
-from services.bus.model import Strict
+from deploy.config.check import BadSpecError
 from services.bus.ros2 import ADMIN_SPACE, GID_BYTES, Attachment, Qos, RosNode, data_key, mangled
 from services.bus.session import hand_over
+from services.models.base import Strict
 
 ROUTER = "tcp/127.0.0.1:7447"
 """Where rmw_zenoh's router listens."""
 
 HEARTBEAT_S = 0.5
-"""After which a subscription can tell that it has missed a message: rmw_zenoh's."""
+"""After which a subscription detects that it has missed a message: rmw_zenoh's."""
 
 
-class Meeting(Strict):
-    """A domain, and the router through which its nodes meet."""
+class DomainAddress(Strict):
+    """A ROS 2 domain, and the router to which its nodes connect."""
 
     domain: int = Field(ge=0, le=232)
     endpoint: str = ROUTER
 
 
 class NoRouterError(BadSpecError):
-    """Nobody listens there."""
+    """No Zenoh router listens at the endpoint."""
 
 
 class Publisher:
@@ -53,7 +53,7 @@ class Publisher:
 
     @property
     def is_linked(self) -> bool:
-        """Whether what is put goes to somebody; a latched message waits for him."""
+        """Whether a subscriber receives what is put; a latched message waits for one."""
         if not isinstance(self._publisher, zenoh.Publisher):
             return True
         # Its stub says that it were a truth value itself.
@@ -69,7 +69,7 @@ def _declare_stream(on: zenoh.Session, key: str, _: Qos) -> zenoh.Publisher:
 
 
 def _declare_latched(on: zenoh.Session, key: str, qos: Qos) -> zenoh.ext.AdvancedPublisher:
-    """One that keeps its last messages for who comes later, as rmw_zenoh's "transient local" does."""
+    """A publisher that keeps its last messages for later subscribers, like rmw_zenoh's transient local."""
     return zenoh.ext.declare_advanced_publisher(
         on,
         key,
@@ -82,27 +82,27 @@ def _declare_latched(on: zenoh.Session, key: str, qos: Qos) -> zenoh.ext.Advance
 
 
 def gid(token: str) -> bytes:
-    """Who a publisher is: 128 bits of XXH3 of its token, little-endian."""
+    """The identity of a publisher: 128 bits of XXH3 of its token, little-endian."""
     return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(GID_BYTES, "little")
 
 
 class Domain:
     """Our session in a domain. Nothing listens: we are a client of the router."""
 
-    def __init__(self, meeting: Meeting) -> None:
-        """Join.
+    def __init__(self, address: DomainAddress) -> None:
+        """Open the session as a client of the router.
 
         :raises BadSpecError: if the endpoint is none that is allowed, or nobody is there.
         """
         try:
-            Bus(connect=(meeting.endpoint,))
+            Bus(connect=(address.endpoint,))
         except ValidationError as error:
             raise BadSpecError(str(error.errors()[0]["msg"]).removeprefix("Value error, ")) from error
-        self._domain = meeting.domain
+        self._domain = address.domain
         config = zenoh.Config()
         for key, value in {
             "mode": "client",
-            "connect/endpoints": [meeting.endpoint],
+            "connect/endpoints": [address.endpoint],
             "connect/timeout_ms": 2000,
             "connect/exit_on_failure": True,
             "scouting/multicast/enabled": False,
@@ -115,7 +115,7 @@ class Domain:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
             message = (
-                f"no Zenoh router at {meeting.endpoint}: start one, e.g. ros2 run rmw_zenoh_cpp rmw_zenohd"
+                f"no Zenoh router at {address.endpoint}: start one, e.g. ros2 run rmw_zenoh_cpp rmw_zenohd"
             )
             raise NoRouterError(message) from error
         self._id = str(self.session.info.zid())
@@ -155,7 +155,7 @@ class Domain:
         return any(one != self._id for one in sessions)
 
     def _number(self) -> int:
-        """Of a node or an endpoint: each has its own in the session."""
+        """The next number of a node or an endpoint: each has its own in the session."""
         self._entities += 1
         return self._entities - 1
 

@@ -15,15 +15,15 @@ import zenoh
 
 from deploy.ros2.bridge import CLOCK, CLOCK_TYPE, clock, quality
 from deploy.ros2.domain import Domain, Publisher
-from services.bus.mission import MissionSpec
-from services.bus.own_stack import trigger
 from services.bus.ros2 import Qos
 from services.bus.topics import TOPICS, published_by
-from services.foreign.program import Put
+from services.foreign.program import ProgramOutput
+from services.models.mission import MissionSpec
+from services.models.own_stack import trigger
 
 
 class Relay:
-    """Between the pipes and the domain."""
+    """Relays messages between a stage's pipes and the ROS 2 domain."""
 
     def __init__(self, domain: Domain, awaited: tuple[str, ...], patience_s: float) -> None:
         """``awaited`` are topics of the stage; ``patience_s`` is wall time for the node to appear."""
@@ -32,10 +32,10 @@ class Relay:
         self._patience_s = patience_s
         self._clock = domain.publisher("sim", f"/{CLOCK}", CLOCK_TYPE, Qos(depth=1))
         self._publishers: dict[str, Publisher] = {}
-        self._came: queue.SimpleQueue[Put] = queue.SimpleQueue()
+        self._came: queue.SimpleQueue[ProgramOutput] = queue.SimpleQueue()
 
     def serve(self, hear: BinaryIO, say: BinaryIO) -> None:
-        """Relay until there is no more to hear."""
+        """Relay messages until standard input ends."""
 
         def tell(words: bytes) -> None:
             say.write(words)
@@ -73,7 +73,7 @@ class Relay:
         self._await_node(stage)
 
     def _await_node(self, stage: str) -> None:
-        """Wait until somebody publishes what is awaited and hears what sets the stage going.
+        """Wait for a node that publishes the awaited topics and subscribes to the trigger.
 
         :raises NobodyError: if nobody does.
         """
@@ -91,13 +91,13 @@ class Relay:
         time.sleep(0.05)
 
     def _handler(self, topic: str) -> Callable[[zenoh.Sample], None]:
-        return lambda sample: self._came.put(Put(topic, sample.payload.to_bytes()))
+        return lambda sample: self._came.put(ProgramOutput(topic, sample.payload.to_bytes()))
 
-    def _step(self, messages: list[tuple[str, int, bytes]], now_ns: int) -> list[Put]:
+    def _step(self, messages: list[tuple[str, int, bytes]], now_ns: int) -> list[ProgramOutput]:
         self._clock.put(clock(now_ns), now_ns)
         for name, ready_ns, payload in messages:
             self._publishers[name].put(payload, ready_ns)
-        made: list[Put] = []
+        made: list[ProgramOutput] = []
         while not set(self._awaited) <= {one.topic for one in made}:
             made.append(self._came.get())
         order = [topic.name for topic in published_by(TOPICS[self._awaited[0]].publisher)]
@@ -105,11 +105,11 @@ class Relay:
 
 
 class NobodyError(Exception):
-    """There is no node that could take the place."""
+    """No ROS 2 node is there that could take the stage's place."""
 
 
 def heard(end: BinaryIO) -> Iterator[tuple[list[str], bytes]]:
-    """What is said to a program: the words of each line, and what follows it."""
+    """Parse a program's input: the words of each line, and the body that follows it."""
     while line := end.readline():
         words = line.decode().split()
         yield words, end.read(int(words[-1])) if words[0] in ("zenfi", "message") else b""

@@ -1,4 +1,4 @@
-"""How a node says that it is there: a liveliness token whose key holds what identifies its process.
+"""Announcements of nodes: liveliness tokens whose keys hold what identifies the process.
 
 The token disappears with the process. What it says is a claim: whoever acts on a pid (the injector)
 checks it against the kernel's own view first.
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from services.bus.process_stat import process_stat
+from services.system.process_stat import process_stat
 
 PREFIX = "node"
 ALL = f"{PREFIX}/**"
@@ -39,7 +39,7 @@ class Announcement:
 
     @classmethod
     def parse(cls, key: str) -> Announcement:
-        """Read a token's key.
+        """Parse the key of a liveliness token.
 
         :raises ValueError: if the key is not of the form that :attr:`key` writes.
         """
@@ -55,7 +55,7 @@ class Announcement:
 
 
 def announcement(name: str, pid: int | None = None) -> Announcement:
-    """The claim for a process, the calling one unless told; its kernels run on its first thread."""
+    """The announcement of a process, by default the calling one; its kernels run on its first thread."""
     pid = os.getpid() if pid is None else pid
     return Announcement(name, pid, pid, start_ticks(pid), boot_id())
 

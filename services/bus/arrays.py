@@ -1,4 +1,4 @@
-"""Between the small geometry messages and NumPy arrays. Quaternions are (w, x, y, z) in arrays."""
+"""Between messages (geometry, point clouds) and NumPy arrays. Quaternions are (w, x, y, z) in arrays."""
 
 from __future__ import annotations
 
@@ -13,12 +13,16 @@ from services.bus.messages import (
     MalformedMessageError,
     Odometry,
     Point,
+    PointCloud2,
+    PointField,
     Quaternion,
     Trajectory,
     Vector3,
 )
 
 Floats = NDArray[np.float64]
+
+_FIELDS = [PointField(name, 4 * i, PointField.FLOAT32, 1) for i, name in enumerate("xyz")]
 
 
 def vector(xyz: Floats) -> Vector3:
@@ -63,7 +67,7 @@ def inverse(rotation: Floats) -> Floats:
     return rotation * (1.0, -1.0, -1.0, -1.0)
 
 
-class State(NamedTuple):
+class VehicleState(NamedTuple):
     """The vehicle's state in the world frame: m, m/s, rad."""
 
     position: Floats
@@ -77,8 +81,8 @@ FASTEST_M_S = 100.0
 """Odometry beyond these two is no measurement."""
 
 
-def state(message: Odometry) -> State:
-    """What odometry says, in the world frame; the message has its twist in the body frame.
+def state(message: Odometry) -> VehicleState:
+    """The vehicle's state of an odometry message, in the world frame; its twist is in the body frame.
 
     :raises MalformedMessageError: if it is not finite, out of this world or its quaternion no rotation.
     """
@@ -95,13 +99,13 @@ def state(message: Odometry) -> State:
     if not sound:
         raise MalformedMessageError(f"odometry: {position} m, {body_velocity} m/s, attitude {attitude}")
     yaw = atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
-    return State(position, rotated(body_velocity, attitude), attitude, yaw)
+    return VehicleState(position, rotated(body_velocity, attitude), attitude, yaw)
 
 
 def sound_goal(message: Any) -> Any:
-    """The goal message itself.
+    """The goal message, checked: it is returned unchanged if it can be flown.
 
-    :raises MalformedMessageError: if it lies out of this world.
+    :raises MalformedMessageError: if a coordinate exceeds :data:`FARTHEST_M`.
     """
     if not np.abs(xyz(message.position)).max() <= FARTHEST_M:
         raise MalformedMessageError(f"goal: {message.position}")
@@ -109,9 +113,9 @@ def sound_goal(message: Any) -> Any:
 
 
 def sound_task(message: Any) -> Any:
-    """The task message itself.
+    """The task message, checked: it is returned unchanged if it makes sense.
 
-    :raises MalformedMessageError: if it lies out of this world.
+    :raises MalformedMessageError: if a coordinate exceeds :data:`FARTHEST_M`.
     """
     corners = message.start, message.lower, message.upper
     if not np.abs([xyz(corner) for corner in corners]).max() <= FARTHEST_M:
@@ -119,7 +123,7 @@ def sound_task(message: Any) -> Any:
     return message
 
 
-class Place(NamedTuple):
+class FlightPlace(NamedTuple):
     """Where a mission flies: its goal, and if it says so its start and area; (3,) each, world frame."""
 
     goal: Floats
@@ -128,10 +132,10 @@ class Place(NamedTuple):
     upper: Floats
 
 
-def place(goal: Any, task: Any) -> Place:
-    """What a goal message and a task message, or None, say; without a task all is at the goal."""
+def place(goal: Any, task: Any) -> FlightPlace:
+    """The place that a goal message and a task message or None give; without a task all is at the goal."""
     ends = [xyz(goal.position)] * 3 if task is None else [xyz(task.start), xyz(task.lower), xyz(task.upper)]
-    return Place(xyz(goal.position), *ends)
+    return FlightPlace(xyz(goal.position), *ends)
 
 
 POINT_FIELDS = 12
@@ -151,7 +155,7 @@ class Plan(NamedTuple):
 
 
 def plan(message: Any) -> Plan:
-    """What a trajectory message says.
+    """The plan that a trajectory message holds.
 
     :raises MalformedMessageError: if its numbers are no whole points, too many or not finite, or if
         its time runs backwards.
@@ -168,7 +172,7 @@ def plan(message: Any) -> Plan:
 
 
 def plan_message(header: Header, made: Plan) -> Any:
-    """The message of a plan."""
+    """The trajectory message that holds a plan."""
     return Trajectory(
         header=header,
         trajectory_seq=made.trajectory_seq,
@@ -192,7 +196,7 @@ class Verdict(NamedTuple):
 
 
 def verdict(message: Any) -> Verdict:
-    """What a collision check says.
+    """The verdict that a collision check message holds.
 
     :raises MalformedMessageError: if its time to collision is no time: NaN or minus infinity.
     """
@@ -201,3 +205,23 @@ def verdict(message: Any) -> Verdict:
         raise MalformedMessageError(f"collision check: {left_s} s to collision")
     checked_s = stamp.sec + stamp.nanosec / 1e9
     return Verdict(checked_s, message.trajectory_seq, message.future_collision_seq, left_s)
+
+
+def cloud_message(header: Header, points: NDArray[np.float32]) -> PointCloud2:
+    """A cloud of ``points`` (n, 3)."""
+    return PointCloud2(
+        header=header,
+        height=1,
+        width=len(points),
+        fields=_FIELDS,
+        is_bigendian=False,
+        point_step=12,
+        row_step=12 * len(points),
+        data=np.ascontiguousarray(points).reshape(-1).view(np.uint8),
+        is_dense=True,
+    )
+
+
+def cloud_points(cloud: PointCloud2) -> NDArray[np.float32]:
+    """The points (n, 3) of a cloud that :func:`cloud_message` made."""
+    return cloud.data.view(np.float32).reshape(-1, len(_FIELDS))

@@ -66,7 +66,7 @@ MESSAGES = {
     # A stage's promise: `count` messages of each of its topics have been published, and none that
     # follows is ready before `until_ns`. `accepted_ns` is the newest trigger it has dealt with,
     # `busy_until_ns` the time before which it takes up no other. Of two promises the one with the
-    # higher `serial` is the newer; its upper half counts the lives of the node.
+    # higher `serial` is the newer; its upper half counts the starts of the node.
     "zenfi_msgs/msg/Horizon": """
         uint64 serial
         int64 accepted_ns
@@ -82,8 +82,8 @@ MESSAGES = {
         float64[] angular_velocity
         float64[] linear_acceleration
     """,
-    # How the mission stands, told by the simulator once a second and at its end: `result` is
-    # "flying" or a MissionResult, `qof` the JSON of services.bus.outcome.QoF.
+    # How the mission stands, sent by the simulator once a second and at its end: `result` is
+    # "flying" or a MissionResult, `qof` the JSON of services.models.outcome.QoF.
     "zenfi_msgs/msg/Mission": """
         std_msgs/Header header
         string result
@@ -121,11 +121,12 @@ MESSAGES = {
         bool failed
         float64[] points
     """,
-    # What the injector did. `record` is the JSON of services.bus.outcome.InjectionRecord.
+    # What the injector did. `record` is the JSON of services.models.outcome.InjectionRecord.
     "zenfi_msgs/msg/Injection": """
         string record
     """,
-    # What was found wrong with an output: the JSON of services.bus.detection.AlarmRecord. In recordings only.
+    # What was found wrong with an output: the JSON of services.models.detection.AlarmRecord. In recordings
+    # only.
     "zenfi_msgs/msg/Alarm": """
         string record
     """,
@@ -159,7 +160,7 @@ class MalformedMessageError(ValueError):
 
 
 def encode(message: Any, message_type: str) -> bytes:
-    """CDR bytes of ``message``."""
+    """Encode ``message`` as CDR bytes."""
     return bytes(TYPESTORE.serialize_cdr(message, message_type))
 
 

@@ -1,4 +1,4 @@
-"""Inputs and outputs of a node: topics as its stage sees them, and as its courier does."""
+"""Inputs and outputs of a node: topics as its stage sees them, and as its proxy does."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from services.bus.topics import HORIZON_TYPE, Topic, published_by
 
 
 def promise_of(stage: str, payload: bytes) -> Any:
-    """The promise of a stage.
+    """Parse a message that holds the promise of a stage.
 
     :raises MalformedMessageError: if it does not speak of the stage's topics.
     """
@@ -30,7 +30,7 @@ RECENT = 64
 
 
 def as_it_is(message: Any) -> Any:
-    """What an input without a parser makes of its messages."""
+    """Return the message unchanged: the default parser of an input."""
     return message
 
 
@@ -38,7 +38,7 @@ class Input:
     """A subscribed topic as the stage sees it.
 
     ``parse`` makes of a decoded message what the stage works with, and raises
-    :class:`MalformedMessageError` if it makes no sense; ``refused`` is told of each such message.
+    :class:`MalformedMessageError` if it makes no sense; ``refused`` is called with each such message.
     """
 
     def __init__(self, topic: Topic, parse: Callable[[Any], Any], refused: Callable[[], None]) -> None:
@@ -50,7 +50,7 @@ class Input:
         self._latest: Any = None
 
     def deliver(self, messages: list[Stamped]) -> None:
-        """Make visible what has become ready."""
+        """Make the messages visible that have become ready."""
         self.new = messages
         if messages:
             self._recent.extend(messages)

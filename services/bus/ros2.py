@@ -28,7 +28,7 @@ class Attachment(NamedTuple):
     gid: bytes
 
     def packed(self) -> bytes:
-        """As it travels."""
+        """The attachment as the bytes that rmw_zenoh sends."""
         return _ATTACHMENT.pack(self.seq, self.source_ns, len(self.gid), self.gid)
 
     @classmethod
@@ -53,7 +53,7 @@ class Qos(NamedTuple):
 
     @property
     def text(self) -> str:
-        """As it stands in a token: what is as usual is left out, for us all behind the depth."""
+        """The quality of service as it stands in a liveliness token; defaults are left out."""
         reliability = "" if self.reliable else "2"
         durability = "1" if self.transient_local else ""
         depth = "" if self.depth == DEFAULT_DEPTH else str(self.depth)

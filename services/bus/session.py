@@ -1,7 +1,7 @@
 """Zenoh sessions: who listens where, and how messages are keyed and stamped.
 
 All sessions of a mission meet in one private folder of Unix sockets (mode 0700), so nothing listens
-on a network and only the same user can join. The supervisor's session is the router, couriers are peers
+on a network and only the same user can join. The supervisor's session is the router, proxies are peers
 that find each other by gossip; multicast scouting is off. Each mission has its own namespace.
 """
 
@@ -27,15 +27,15 @@ from services.bus.topics import TOPICS
 DOMAIN_ID = 0
 """Within a mission; the bridge (``deploy/ros2``) has the domain that it is given."""
 LEASE_MS = 60_000
-"""A courier that a debugger or a loaded machine holds up is not dead: 10 s, the default, is too short."""
+"""A proxy that a debugger or a loaded machine holds up is not dead: 10 s, the default, is too short."""
 
 
 class BusError(Exception):
-    """The bus failed us: our own failure, never a result."""
+    """The bus failed: an infrastructure error, never a result of a mission."""
 
 
 @dataclass(frozen=True, slots=True)
-class Meeting:
+class BusAddress:
     """Where the sessions of one mission meet."""
 
     folder: Path
@@ -52,14 +52,14 @@ class Meeting:
 
 
 def open_session(
-    meeting: Meeting, name: str, *, router: bool = False, more: Mapping[str, object] = MappingProxyType({})
+    address: BusAddress, name: str, *, router: bool = False, more: Mapping[str, object] = MappingProxyType({})
 ) -> zenoh.Session:
-    """Open the session of a courier, a sidecar or the supervisor (``router``), with ``more`` settings."""
+    """Open the session of a proxy, a sidecar or the supervisor (``router``), with ``more`` settings."""
     settings = {
         "mode": "router" if router else "peer",
-        "namespace": meeting.namespace,
-        "listen/endpoints": [meeting.endpoint(name)],
-        "connect/endpoints": [] if router else [meeting.endpoint("router")],
+        "namespace": address.namespace,
+        "listen/endpoints": [address.endpoint(name)],
+        "connect/endpoints": [] if router else [address.endpoint("router")],
         "connect/exit_on_failure": True,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
@@ -76,7 +76,7 @@ def open_session(
     return zenoh.open(config)
 
 
-def open_visitor(meeting: Meeting) -> zenoh.Session:
+def open_visitor(address: BusAddress) -> zenoh.Session:
     """Open a session that only asks: nodes do not connect to it.
 
     :raises zenoh.ZError: if nobody meets there.
@@ -84,8 +84,8 @@ def open_visitor(meeting: Meeting) -> zenoh.Session:
     config = zenoh.Config()
     for key, value in {
         "mode": "client",
-        "namespace": meeting.namespace,
-        "connect/endpoints": [meeting.endpoint("router")],
+        "namespace": address.namespace,
+        "connect/endpoints": [address.endpoint("router")],
         "connect/timeout_ms": 1000,
         "connect/exit_on_failure": True,
         "scouting/multicast/enabled": False,
@@ -105,27 +105,27 @@ def hand_over(take: Callable[[Any], None]) -> Callback[Any]:
 
 @functools.cache
 def topic_key(name: str) -> str:
-    """rmw_zenoh's key of a topic's messages."""
+    """The key of a topic's messages, as rmw_zenoh forms it."""
     return data_key(DOMAIN_ID, name, TOPICS[name].type)
 
 
 def horizon_key(stage: str) -> str:
-    """Where a stage's promises go."""
+    """The key on which a stage publishes its promises."""
     return f"horizon/{stage}"
 
 
 def gate_key(node: str) -> str:
-    """Where a node asks the injector's leave at the entry and exit of an armed kernel."""
+    """The key on which a node asks the injector for leave at the entry and exit of an armed kernel."""
     return f"gate/{node}"
 
 
 def verdict_key(stage: str) -> str:
-    """Where a stage asks the detector (``services/bus/verdicts.py``)."""
+    """The key on which a stage asks the detector (``services/bus/detector_protocol.py``)."""
     return f"verdict/{stage}"
 
 
 def alarm_key(stage: str) -> str:
-    """Where a stage has an alarm recorded, as JSON of :class:`services.bus.detection.AlarmRecord`."""
+    """The key of a stage's alarms, JSON of :class:`services.models.detection.AlarmRecord`."""
     return f"alarm/{stage}"
 
 
@@ -144,7 +144,7 @@ def attach(seq: int, ready_ns: int, gid: bytes) -> bytes:
 
 
 def stamped(sample: zenoh.Sample) -> Stamped:
-    """The message in a sample.
+    """The message in a Zenoh sample, with its sequence number and stamp.
 
     :raises MalformedMessageError: if the attachment is missing or not of rmw_zenoh's form.
     """

@@ -21,13 +21,13 @@ PLANNER = "$planner"
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One message stream.
+    """One message stream: its name, type and publisher, and what triggers its messages.
 
     ``trigger`` is the topic whose message sets the publisher going (none: the publisher owns the
     clock), ``after`` the kernels that at least run between the two: their latencies are how far
     ahead the publisher can promise silence. A ``latched`` topic's last message is given to a
     subscriber that comes later (ROS 2: transient local); a ``stream`` is not. What is not
-    ``recorded`` stands outside virtual time: it tells of wall time and pids.
+    ``recorded`` stands outside virtual time: it contains wall times and pids.
     """
 
     name: str

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from services.bus.safety import BRAKE_BELOW_S, DECELERATION_M_S2
 from services.control.pid import STATE_SIZE, pid, state_at, stopping
+from services.models.safety import BRAKE_BELOW_S, DECELERATION_M_S2
 
 WAYPOINT_FIELDS = 10
 """Numbers of a tracked waypoint: duration, x y z, vx vy vz, ax ay az."""

@@ -7,14 +7,15 @@ from functools import partial
 import numpy as np
 
 from services.bus.arrays import POINT_FIELDS, Floats, plan, state, vector, verdict
-from services.bus.line import Line
 from services.bus.messages import Twist, TwistStamped, header
-from services.bus.node import Node, NodeSetup
-from services.bus.realtime import join
-from services.bus.shown import shown_command
+from services.bus.proxy_link import NodeLink
 from services.bus.topics import TICK_NS
-from services.bus.vitals import Vitals
 from services.control.follower import Follower
+from services.runtime.monitored_values import shown_command
+from services.runtime.node import Node
+from services.runtime.realtime import join
+from services.runtime.setup import NodeSetup
+from services.system.shared_stats import SharedStats
 
 TICK_S = TICK_NS / 1e9
 
@@ -31,10 +32,10 @@ def warm_up() -> None:
     follower.command(1.0, *state, TICK_S)
 
 
-def main(setup: NodeSetup, courier: Line, vitals: Vitals) -> None:
+def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
     """Follow the newest trajectory, brake for what the collision check finds."""
     follower = Follower()
-    with join(setup, courier, vitals) as node:
+    with join(setup, proxy, stats) as node:
         odometry, check, trajectory = (
             node.input("odometry", state),
             node.input("collision_check", verdict),

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.bus.safety import SPEED_LIMIT_M_S
+from services.models.safety import SPEED_LIMIT_M_S
 
 YAW_RATE_LIMIT_RAD_S = math.radians(90.0)
 """Facts page, "control"."""

@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from services.bus.arrays import plan, state, verdict
 from services.bus.messages import TwistStamped
 from services.bus.topics import TICK_NS
-from services.bus.trial import NoSampleError, Recording, Sample, Trial, cdr, decoded
 from services.control.follower import Follower
 from services.control.pid import pid
+from services.runtime.kernel_trial import KernelTrial, NoSampleError, Sample, SampleFlight, cdr, decoded
 
 _AT_SPEED_M_S = 1.0
 
 
-def record(flight: Recording) -> Sample:
+def record(flight: SampleFlight) -> Sample:
     """The tick with the largest yaw rate among those in which a trajectory is followed at speed.
 
     The stage is run again over what it saw in flight, which gives its commands again, to the bit.
@@ -35,7 +35,7 @@ def record(flight: Recording) -> Sample:
     return best
 
 
-def _replayed(flight: Recording) -> Iterator[tuple[Sample, NDArray[np.float64]]]:
+def _replayed(flight: SampleFlight) -> Iterator[tuple[Sample, NDArray[np.float64]]]:
     """Input of the kernel and command of each tick in which a trajectory is followed."""
     messages, follower = flight.messages, Follower()
     verdicts, plans = deque(messages["collision_check"]), deque(messages["trajectory"])
@@ -61,7 +61,7 @@ def _replayed(flight: Recording) -> Iterator[tuple[Sample, NDArray[np.float64]]]
                 yield tick | {"trajectory": message}, command
 
 
-class Pid(Trial):
+class PidTrial(KernelTrial):
     """One flight command: vx, vy, vz, m/s, and yaw rate, rad/s."""
 
     def __init__(self, _: str, sample: Sample) -> None:
@@ -72,12 +72,12 @@ class Pid(Trial):
         self.command = np.full(4, np.nan)
 
     def run(self) -> None:
-        """Make the command."""
+        """Compute the flight command of the sample."""
         position, velocity, _, yaw = self._here
         self.command = pid(self._trajectory, self._now_s, position, velocity, yaw, TICK_NS / 1e9, self._state)
 
     def values(self) -> NDArray[np.float64]:
-        """The command."""
+        """The flight command that was computed."""
         return self.command
 
     def image(self) -> bytes:

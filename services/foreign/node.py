@@ -8,26 +8,35 @@ import signal
 import sys
 
 from services.bus.horizon import Stamped
-from services.bus.line import Line, LineError
 from services.bus.messages import MalformedMessageError, decode
-from services.bus.node import GATE_TIMEOUT_S, Node, NodeSetup
-from services.bus.own_stack import OwnStage, trigger
-from services.bus.process_stat import listed_pid
-from services.bus.scout import SCOUT
+from services.bus.proxy_link import LinkError, NodeLink
 from services.bus.topics import TOPICS, published_by
-from services.bus.vitals import Vitals
-from services.foreign.program import Program, ProgramDiedError, ProgramError, Put, greeting, step
+from services.foreign.program import (
+    ProgramDiedError,
+    ProgramError,
+    ProgramOutput,
+    StageProgram,
+    greeting,
+    step,
+)
+from services.models.own_stack import OwnStage, trigger
+from services.runtime.kernel_timer import GATE_TIMEOUT_S, KernelTimer
+from services.runtime.node import Node
+from services.runtime.probe_gate import PROBE
+from services.runtime.setup import NodeSetup
+from services.system.process_stat import listed_pid
+from services.system.shared_stats import SharedStats
 
 _OURS = (70, 71)
 """Exit statuses that mean something else where a node ends with them."""
 
 
-def main(setup: NodeSetup, courier: Line, vitals: Vitals, tracer_pid: int) -> None:
+def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats, tracer_pid: int) -> None:
     """Hand the executable what it may see, step by step, until no trigger can follow."""
     own = setup.spec.own_stage(setup.name)
     assert own is not None  # noqa: S101 - that is why we run
     try:
-        with ForeignNode(setup, courier, vitals, own, tracer_pid) as node:
+        with ForeignNode(setup, proxy, stats, own, tracer_pid) as node:
             inputs = [node.input(name) for name in (trigger(setup.name), *own.inputs)]
             node.ready()
             for message in node.spin(inputs[0]):
@@ -46,9 +55,9 @@ class ForeignNode(Node):
     """A node whose kernel is a program."""
 
     def __init__(
-        self, setup: NodeSetup, courier: Line, vitals: Vitals, own: OwnStage, tracer_pid: int
+        self, setup: NodeSetup, proxy: NodeLink, stats: SharedStats, own: OwnStage, tracer_pid: int
     ) -> None:
-        super().__init__(setup, courier, vitals)
+        super().__init__(setup, proxy, stats, _ProgramTimer(setup, proxy, stats, self))
         fault = setup.spec.fault
         self._own, self._tracer_pid = own, tracer_pid
         self._struck = fault is not None and fault.level == "instruction" and fault.target == setup.name
@@ -63,23 +72,23 @@ class ForeignNode(Node):
             raise ProgramError(message) from error
         self._page["program"] = listed_pid(self._program.pid)
 
-    def ready(self) -> None:
-        """Have the program announced, and wait until every node of the mission is."""
+    def ready(self, *watched: str) -> None:
+        """Announce the program, and wait until every node of the mission is announced."""
         inputs = list(self._inputs)
-        self._declare({"inputs": inputs, "watched": [], "program": listed_pid(self._program.pid)})
+        self._declare({"inputs": inputs, "watched": watched, "program": listed_pid(self._program.pid)})
 
     def look(self, messages: list[tuple[str, Stamped]]) -> None:
-        """Take in what the next step is about."""
+        """Keep the messages that the next step may see."""
         self._now = step(messages, self.now_ns)
 
-    def compute(self) -> list[Put]:
-        """Have the program do its step; what it publishes."""
+    def compute(self) -> list[ProgramOutput]:
+        """Let the program compute its step; return what it publishes."""
         self._program.tell(self._now)
         if self._struck:
             self._told.append(self._now)
         return self._program.answer()
 
-    def publish(self, made: Put) -> None:
+    def publish(self, made: ProgramOutput) -> None:
         """Publish what the program has made.
 
         :raises ProgramError: if it is no message of a topic of the stage.
@@ -99,45 +108,58 @@ class ForeignNode(Node):
         self._program.dismiss()
         self._program.kill()
 
-    def _begun(self) -> Program:
-        program = Program(self._own, self._tracer_pid)
+    def _begun(self) -> StageProgram:
+        program = StageProgram(self._own, self._tracer_pid)
         program.tell(self._told[0])
         return program
 
-    def _stand_at_gate(self, key: str, request: str) -> bool:
-        """Ask at the gate until it opens; the scouts that are sent ahead are programs, none of us."""
-        while (answer := self.ask(key, request, GATE_TIMEOUT_S)) == SCOUT:
-            self._send_scout(key)
-        if answer is None:
-            raise LineError("nobody answers at the gate")
-        return False
-
-    def _send_scout(self, key: str) -> None:
+    def send_probe(self, key: str) -> None:
         """Have another process of the program go through the call in view of the injector.
 
-        It is told all that the program was told, so it stands where the program stands.
+        It gets all the input that the program got, so it is in the same state.
         """
-        scout = self._begun()
+        probe = self._begun()
         try:
-            scout.await_ready()
+            probe.await_ready()
             for told in self._told[1:]:
-                scout.tell(told)
-                scout.answer()
-            request = json.dumps({"phase": "scout", "pid": listed_pid(scout.pid)})
+                probe.tell(told)
+                probe.answer()
+            request = json.dumps({"phase": "probe", "pid": listed_pid(probe.pid)})
             self.ask(key, request, GATE_TIMEOUT_S)
-            scout.tell(self._now)
-            scout.answer()
+            probe.tell(self._now)
+            probe.answer()
         except (ProgramDiedError, ProgramError):
             pass  # the injector has seen enough
         finally:
-            scout.kill()
+            probe.kill()
 
-    def _cpu_ns(self) -> int:
+    @property
+    def cpu_ns(self) -> int:
+        """Processor time that the program has used."""
         return self._program.cpu_ns
 
 
+class _ProgramTimer(KernelTimer):
+    """Times the program instead of the node, and sends probes of the program."""
+
+    def __init__(self, setup: NodeSetup, proxy: NodeLink, stats: SharedStats, node: ForeignNode) -> None:
+        super().__init__(setup, proxy, stats.page)
+        self._node = node
+
+    def _stand_at_gate(self, key: str, request: str) -> bool:
+        """Ask at the gate until it opens; the probes that are sent ahead are programs, none of us."""
+        while (answer := self._node.ask(key, request, GATE_TIMEOUT_S)) == PROBE:
+            self._node.send_probe(key)
+        if answer is None:
+            raise LinkError("nobody answers at the gate")
+        return False
+
+    def _cpu_ns(self) -> int:
+        return self._node.cpu_ns
+
+
 def _die_alike(status: int) -> None:
-    """End as the program has ended."""
+    """End this process as the program ended: with its status, or by its signal."""
     if status < 0:
         signal.signal(-status, signal.SIG_DFL) if -status != signal.SIGKILL else None
         os.kill(os.getpid(), -status)

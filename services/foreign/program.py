@@ -1,4 +1,4 @@
-"""An executable in a stage's place, and what is said to it and by it on its standard input and output.
+"""An executable in a stage's place, and the protocol on its standard input and output.
 
 Lines of text, each followed by as many bytes as its last word says where that is a size. docs/own_stack.md
 has the protocol.
@@ -7,7 +7,6 @@ has the protocol.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import os
 import subprocess
 import time
@@ -15,8 +14,9 @@ from collections.abc import Iterable
 from typing import NamedTuple, NoReturn
 
 from services.bus.horizon import Stamped
-from services.bus.lifeline import die_with_parent
-from services.bus.own_stack import OwnStage
+from services.models.own_stack import OwnStage
+from services.system.libc import libc
+from services.system.lifeline import die_with_parent
 
 VERSION = 1
 LARGEST = 1 << 28
@@ -30,11 +30,9 @@ _AT_ONCE = 1 << 16
 _PR_SET_PTRACER = 0x59616D61
 _CPUCLOCK_OF_PROCESS = 2
 
-_libc = ctypes.CDLL(None, use_errno=True)
-
 
 class ProgramError(Exception):
-    """What a program says makes no sense, or it left too early."""
+    """A program sent malformed output, or exited too early."""
 
 
 class ProgramDiedError(Exception):
@@ -45,7 +43,7 @@ class ProgramDiedError(Exception):
         self.status = status
 
 
-class Put(NamedTuple):
+class ProgramOutput(NamedTuple):
     """A message that a program publishes: CDR bytes."""
 
     topic: str
@@ -53,7 +51,7 @@ class Put(NamedTuple):
 
 
 def greeting(stage: str, life: int, mission: bytes) -> bytes:
-    """The first thing that a program is told: what it is, and its mission as JSON."""
+    """The first message to a program: what it is, and its mission as JSON."""
     return b"zenfi %d %s %d %d\n%b" % (VERSION, stage.encode(), life, len(mission), mission)
 
 
@@ -66,11 +64,11 @@ def step(messages: Iterable[tuple[str, Stamped]], now_ns: int) -> bytes:
     return b"".join([*parts, b"step %d\n" % now_ns])
 
 
-class Program:
+class StageProgram:
     """A running executable. It dies with the process that started it."""
 
     def __init__(self, stage: OwnStage, tracer_pid: int) -> None:
-        """Start it; ``tracer_pid`` (0: nobody) may trace it.
+        """Start the executable; ``tracer_pid`` (0: nobody) may trace it.
 
         :raises ProgramError: if that cannot be.
         """
@@ -79,7 +77,7 @@ class Program:
         def prepare() -> None:
             die_with_parent(owner)
             if tracer_pid:
-                _libc.prctl(_PR_SET_PTRACER, tracer_pid, 0, 0, 0)
+                libc.prctl(_PR_SET_PTRACER, tracer_pid, 0, 0, 0)
 
         try:
             self._process = subprocess.Popen(  # noqa: S603 - what the specification names, by no shell
@@ -97,7 +95,7 @@ class Program:
 
     @property
     def pid(self) -> int:
-        """Its process."""
+        """The process id of the executable."""
         return self._process.pid
 
     @property
@@ -106,7 +104,7 @@ class Program:
         return time.clock_gettime_ns((~self.pid << 3) | _CPUCLOCK_OF_PROCESS)
 
     def tell(self, words: bytes) -> None:
-        """Say something.
+        """Write bytes to the standard input of the executable.
 
         :raises ProgramDiedError, ProgramError: if nobody listens any more.
         """
@@ -118,7 +116,7 @@ class Program:
             self._gone()
 
     def await_ready(self) -> None:
-        """Wait until it says that it is ready.
+        """Wait until the executable reports that it is ready.
 
         :raises ProgramDiedError, ProgramError: if it says something else.
         """
@@ -127,8 +125,8 @@ class Program:
             message = f"expected: ready, got {line!r}"
             raise ProgramError(message)
 
-    def answer(self) -> list[Put]:
-        """What it publishes in a step, in its order.
+    def answer(self) -> list[ProgramOutput]:
+        """The messages that the executable publishes in one step, in its order.
 
         :raises ProgramDiedError, ProgramError: if it says what is no answer.
         """
@@ -136,21 +134,21 @@ class Program:
         while (line := self._line()) != ["done"]:
             match line:
                 case ["put", topic, size] if size.isascii() and size.isdigit() and int(size) <= LARGEST:
-                    made.append(Put(topic, self._take(int(size))))
+                    made.append(ProgramOutput(topic, self._take(int(size))))
                 case _:
                     message = f"expected: put TOPIC BYTES, or done; got {line!r}"
                     raise ProgramError(message)
         return made
 
     def dismiss(self) -> None:
-        """Let it end by itself: there is nothing more to say."""
+        """Close the executable's standard input and wait for it to exit by itself."""
         assert self._process.stdin is not None  # noqa: S101 - asked for
         self._process.stdin.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(FAREWELL_S)
 
     def kill(self) -> None:
-        """Kill it, and see that it is gone."""
+        """Kill the executable and reap it."""
         self._process.kill()
         self._process.wait()
         for end in (self._process.stdin, self._process.stdout):

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.bus.safety import BODY_HEIGHT_M, BODY_RADIUS_M
+from services.models.safety import BODY_HEIGHT_M, BODY_RADIUS_M
 from services.perception.occupancy import OccupancyMap
 
 _MAX_VOXELS = 20_000

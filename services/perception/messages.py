@@ -16,12 +16,8 @@ from services.bus.messages import (
     Image,
     MalformedMessageError,
     Octomap,
-    PointCloud2,
-    PointField,
 )
 from services.perception.occupancy import OccupancyMap
-
-_FIELDS = [PointField(name, 4 * i, PointField.FLOAT32, 1) for i, name in enumerate("xyz")]
 
 
 def depth_array(image: Image) -> NDArray[np.float32]:
@@ -54,26 +50,6 @@ def pinhole(info: CameraInfo) -> Pinhole:
     if not (np.isfinite([fx, fy, cx, cy]).all() and fx > 0.0 and fy > 0.0):
         raise MalformedMessageError(f"camera: intrinsics {info.k}")
     return Pinhole(fx, fy, cx, cy)
-
-
-def cloud_message(header: Header, points: NDArray[np.float32]) -> PointCloud2:
-    """A cloud of ``points`` (n, 3)."""
-    return PointCloud2(
-        header=header,
-        height=1,
-        width=len(points),
-        fields=_FIELDS,
-        is_bigendian=False,
-        point_step=12,
-        row_step=12 * len(points),
-        data=np.ascontiguousarray(points).reshape(-1).view(np.uint8),
-        is_dense=True,
-    )
-
-
-def cloud_points(cloud: PointCloud2) -> NDArray[np.float32]:
-    """The points (n, 3) of a cloud that :func:`cloud_message` made."""
-    return cloud.data.view(np.float32).reshape(-1, len(_FIELDS))
 
 
 def map_message(header: Header, occupancy: OccupancyMap) -> Any:

@@ -11,25 +11,27 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.bus.arrays import NO_PLAN, POINT_FIELDS, Plan, State, plan, state
-from services.bus.line import Line
-from services.bus.messages import header
-from services.bus.node import Node, NodeSetup
-from services.bus.realtime import join
-from services.bus.shown import shown_verdict
-from services.bus.vitals import Vitals
-from services.perception.collision import CollisionCounter, time_to_collision
-from services.perception.messages import (
-    Pinhole,
-    check_message,
+from services.bus.arrays import (
+    NO_PLAN,
+    POINT_FIELDS,
+    Plan,
+    VehicleState,
     cloud_message,
     cloud_points,
-    depth_array,
-    map_message,
-    pinhole,
+    plan,
+    state,
 )
+from services.bus.messages import header
+from services.bus.proxy_link import NodeLink
+from services.perception.collision import CollisionCounter, time_to_collision
+from services.perception.messages import Pinhole, check_message, depth_array, map_message, pinhole
 from services.perception.occupancy import OccupancyMap
 from services.perception.point_cloud import point_cloud
+from services.runtime.monitored_values import shown_verdict
+from services.runtime.node import Node
+from services.runtime.realtime import join
+from services.runtime.setup import NodeSetup
+from services.system.shared_stats import SharedStats
 
 
 def warm_up() -> None:
@@ -49,11 +51,11 @@ def warm_up() -> None:
         time_to_collision(way, 0.0, occupancy)
 
 
-def main(setup: NodeSetup, courier: Line, vitals: Vitals) -> None:
+def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
     """Take up the newest frame whenever free."""
     mapping = setup.spec.mapping
     occupancy, counter = OccupancyMap(mapping.resolution_m, mapping.range_m), CollisionCounter()
-    with join(setup, courier, vitals) as node:
+    with join(setup, proxy, stats) as node:
         depth, odometry = node.input("depth", depth_array), node.input("odometry", state)
         camera, trajectory = node.input("camera_info", pinhole), node.input("trajectory", plan)
         node.ready()
@@ -78,7 +80,7 @@ class View(NamedTuple):
 
     seen_ns: int
     depth: NDArray[np.float32]
-    pose: State
+    pose: VehicleState
     lens: Pinhole
 
 

@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.bus.arrays import plan, state, verdict
+from services.bus.arrays import cloud_message, plan, state, verdict
 from services.bus.messages import Header
-from services.bus.trial import NoSampleError, Recording, Sample, Trial, cdr, decoded
 from services.perception.collision import time_to_collision
-from services.perception.messages import cloud_message, depth_array, pinhole
+from services.perception.messages import depth_array, pinhole
 from services.perception.occupancy import OccupancyMap
 from services.perception.point_cloud import point_cloud
+from services.runtime.kernel_trial import KernelTrial, NoSampleError, Sample, SampleFlight, cdr, decoded
 
 FRAMES = 5
 """In a sample: as many as a small file holds, enough for a map with walls in it."""
 
 
-def record(flight: Recording) -> Sample:
+def record(flight: SampleFlight) -> Sample:
     """The newest frames at the first verdict that found a collision, and the trajectory it was on.
 
     :raises NoSampleError: if no collision was found, or none is in a map of these frames alone.
@@ -60,12 +60,12 @@ def _stamp_ns(header: Header) -> int:
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
-def _verify(sample: Sample, flight: Recording, found: int) -> None:
-    """The cloud is the flight's own, and the collision is found again.
+def _verify(sample: Sample, flight: SampleFlight, found: int) -> None:
+    """Check that the kernels reproduce the flight's own cloud and find the collision again.
 
     :raises NoSampleError: if not.
     """
-    cloud, check = PointCloud("", sample), CollisionCheck("", sample)
+    cloud, check = PointCloudTrial("", sample), CollisionCheckTrial("", sample)
     cloud.run()
     check.run()
     flown = decoded("cloud", cdr(flight.messages["cloud"][found]))
@@ -75,7 +75,7 @@ def _verify(sample: Sample, flight: Recording, found: int) -> None:
         raise NoSampleError("the collision is not in a map of the newest frames alone")
 
 
-class PointCloud(Trial):
+class PointCloudTrial(KernelTrial):
     """The newest frame's cloud: points (n, 3), m."""
 
     def __init__(self, _: str, sample: Sample, frame: int = FRAMES - 1) -> None:
@@ -88,15 +88,15 @@ class PointCloud(Trial):
         self.points = np.empty((0, 3), dtype=np.float32)
 
     def run(self) -> None:
-        """Make the cloud."""
+        """Compute the point cloud of the sample."""
         self.points = point_cloud(*self._arguments)
 
     def values(self) -> NDArray[Any]:
-        """Its points."""
+        """The points of the cloud that was computed."""
         return self.points
 
 
-class Octomap(Trial):
+class OctomapTrial(KernelTrial):
     """The newest cloud inserted into the map of the frames before it.
 
     Every bit is OctoMap's stream with all log-odds; what matters is the label of each voxel in reach
@@ -105,16 +105,16 @@ class Octomap(Trial):
 
     def __init__(self, _: str, sample: Sample) -> None:
         self.occupancy = _map(sample, FRAMES - 1)
-        newest = PointCloud("", sample)
+        newest = PointCloudTrial("", sample)
         newest.run()
         self._points, self._origin = newest.points, newest.position
 
     def run(self) -> None:
-        """Insert the cloud."""
+        """Insert the newest cloud into the map."""
         self.occupancy.insert(self._points, self._origin)
 
     def values(self) -> NDArray[Any]:
-        """The labels."""
+        """The labels of the map's voxels after the insertion."""
         step = self.occupancy.resolution_m
         reach = np.arange(-self.occupancy.range_m, self.occupancy.range_m + step, step)
         around = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -126,7 +126,7 @@ class Octomap(Trial):
         return self.occupancy.to_stream()
 
 
-class CollisionCheck(Trial):
+class CollisionCheckTrial(KernelTrial):
     """The trajectory checked against the map of all frames: time to collision, s."""
 
     def __init__(self, _: str, sample: Sample) -> None:
@@ -136,11 +136,11 @@ class CollisionCheck(Trial):
         self.left_s = np.nan
 
     def run(self) -> None:
-        """Look for the collision."""
+        """Check the sample's trajectory for a collision."""
         self.left_s = time_to_collision(self._points, self._checked_s, self._occupancy)
 
     def values(self) -> NDArray[Any]:
-        """The time left."""
+        """The time to collision that was found, in seconds."""
         return np.array([self.left_s])
 
 
@@ -149,7 +149,7 @@ def _map(sample: Sample, frames: int) -> OccupancyMap:
     resolution_m, range_m = sample["map"]
     occupancy = OccupancyMap(float(resolution_m), float(range_m))
     for frame in range(frames):
-        cloud = PointCloud("", sample, frame)
+        cloud = PointCloudTrial("", sample, frame)
         cloud.run()
         occupancy.insert(cloud.points, cloud.position)
     return occupancy

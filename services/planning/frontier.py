@@ -8,7 +8,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.planning.voxels import NEAR, OCCUPIED, UNKNOWN
+from services.bus.octomaps import UNKNOWN
+from services.planning.voxels import NEAR, OCCUPIED
 
 NEAREST_M = 3.0
 """A frontier nearer than this shows no more when the vehicle goes there."""

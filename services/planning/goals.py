@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from services.bus.arrays import Floats, Place
+from services.bus.arrays import FlightPlace, Floats
+from services.bus.octomaps import known
 from services.planning.frontier import frontier
 from services.planning.pilot import ALTITUDE_M
 from services.planning.sweep import lawn_mower
-from services.planning.voxels import known, unpack
+from services.planning.voxels import unpack
 
 SIDELAP = 0.2
 """Part of a swath that the next lane covers again: a vehicle that swerves leaves no gap."""
@@ -19,7 +20,7 @@ SIDELAP = 0.2
 _ROUND_M = 5.0  # how far beyond the area and the vehicle frontiers are looked for
 
 
-class Standing(NamedTuple):
+class GoalContext(NamedTuple):
     """Where the vehicle is (3,), world frame, and whether that is the goal."""
 
     position: Floats
@@ -38,7 +39,7 @@ class Goals(ABC):
         """
 
     @abstractmethod
-    def next(self, standing: Standing) -> Floats | None:
+    def next(self, standing: GoalContext) -> Floats | None:
         """The place (3,) to fly to now, world frame, or None if there is none.
 
         Called at the start and whenever the goal was reached or is to be given up. An itinerary insists
@@ -46,29 +47,29 @@ class Goals(ABC):
         """
 
 
-def goals(mission: str, place: Place, swath_m: float) -> Goals:
+def goals(mission: str, place: FlightPlace, swath_m: float) -> Goals:
     """The goals of a mission type."""
     if mission == "scanning":
-        return Sweep(place, swath_m)
+        return SweepGoals(place, swath_m)
     if mission in ("mapping", "search"):
-        return Exploration(place)
-    return Itinerary(place.goal, place.start) if mission == "delivery" else Itinerary(place.goal)
+        return ExplorationGoals(place)
+    return WaypointGoals(place.goal, place.start) if mission == "delivery" else WaypointGoals(place.goal)
 
 
-class Itinerary(Goals):
+class WaypointGoals(Goals):
     """Places one after the other; the last one stays."""
 
     def __init__(self, *places: Floats) -> None:
         self._left = list(places)
 
-    def next(self, standing: Standing) -> Floats | None:
+    def next(self, standing: GoalContext) -> Floats | None:
         """The same place until it is reached."""
         if standing.reached and len(self._left) > 1:
             self._left.pop(0)
         return self._left[0]
 
 
-class Sweep(Goals):
+class SweepGoals(Goals):
     """The lanes of a lawn-mower sweep, over and over; what cannot be reached is passed over.
 
     Begins at the lane's end that is nearest, so that a stage that was restarted in flight goes on
@@ -77,12 +78,12 @@ class Sweep(Goals):
 
     chooses = True
 
-    def __init__(self, place: Place, swath_m: float) -> None:
+    def __init__(self, place: FlightPlace, swath_m: float) -> None:
         self._area = place.lower, place.upper, place.start, (1.0 - SIDELAP) * swath_m
         self._ends = np.empty((0, 3))
         self._index = 0
 
-    def next(self, standing: Standing) -> Floats | None:
+    def next(self, standing: GoalContext) -> Floats | None:
         """The next end of a lane, whether or not the one before was reached."""
         if self.chooses:
             self._ends, self.chooses = lawn_mower(*self._area), False
@@ -93,12 +94,12 @@ class Sweep(Goals):
         return goal
 
 
-class Exploration(Goals):
+class ExplorationGoals(Goals):
     """Frontiers of the map within an area, until there are no more."""
 
     chooses = True
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: FlightPlace) -> None:
         self._lower, self._upper = place.lower, place.upper
         self._tried: list[Floats] = []
 
@@ -110,7 +111,7 @@ class Exploration(Goals):
         self._grid = unpack(payload, resolution_m, low, high)
         self._known = known(payload, resolution_m, low, high)
 
-    def next(self, standing: Standing) -> Floats | None:
+    def next(self, standing: GoalContext) -> Floats | None:
         """The best frontier; none is tried twice."""
         grid, tried = self._grid, np.array(self._tried).reshape(-1, 3)
         voxels = grid.levels, self._known, grid.origin, grid.resolution_m
@@ -125,6 +126,6 @@ def warm_up_goals() -> None:
     """Compile the kernels before there is a flight."""
     here, corner = np.array([0.0, 0.0, 2.0]), np.array([4.0, 4.0, 2.0])
     for mission in ("scanning", "mapping"):
-        aims = goals(mission, Place(here, here, here, corner), 2.0)
+        aims = goals(mission, FlightPlace(here, here, here, corner), 2.0)
         aims.look(here, b"", 1.0)
-        aims.next(Standing(here, reached=False))
+        aims.next(GoalContext(here, reached=False))

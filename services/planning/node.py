@@ -8,20 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from services.bus import rng
 from services.bus.arrays import Floats, place, plan_message, sound_goal, sound_task, state, verdict
-from services.bus.line import Line
 from services.bus.messages import header
-from services.bus.node import Node, NodeSetup
-from services.bus.realtime import join
-from services.bus.shown import shown_trajectory
-from services.bus.vitals import Vitals
+from services.bus.octomaps import MalformedMap, sound_map
+from services.bus.proxy_link import NodeLink
 from services.kernels import GOAL_KERNELS
-from services.planning.goals import Goals, Standing, goals, warm_up_goals
-from services.planning.pilot import Navigator, Request
+from services.planning.goals import GoalContext, Goals, goals, warm_up_goals
+from services.planning.pilot import Navigator, PlanRequest
 from services.planning.planners import PLANNERS, plan
 from services.planning.trajectory import Departure, trajectory
-from services.planning.voxels import MalformedMap, VoxelGrid, sound_map, unpack
+from services.planning.voxels import VoxelGrid, unpack
+from services.runtime import rng
+from services.runtime.monitored_values import shown_trajectory
+from services.runtime.node import Node
+from services.runtime.realtime import join
+from services.runtime.setup import NodeSetup
+from services.system.shared_stats import SharedStats
 
 
 def warm_up() -> None:
@@ -39,11 +41,11 @@ def warm_up() -> None:
                 trajectory(path, start, grid)
 
 
-def main(setup: NodeSetup, courier: Line, vitals: Vitals) -> None:
+def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
     """Take up the newest verdict whenever free."""
     navigator: Navigator | None = None
     aims: Goals | None = None
-    with join(setup, courier, vitals) as node:
+    with join(setup, proxy, stats) as node:
         check, odometry = node.input("collision_check", verdict), node.input("odometry", state)
         octomap, goal = node.input("map", sound_map), node.input("goal", sound_goal)
         task = node.input("task", sound_task)
@@ -85,7 +87,7 @@ def guided(
         return navigator
     aims.look(position, octomap.data.tobytes(), octomap.resolution)
     with node.kernel(GOAL_KERNELS[node.spec.mission]) if aims.chooses else nullcontext():
-        goal = aims.next(Standing(position, reached))
+        goal = aims.next(GoalContext(position, reached))
     if goal is None:
         return None
     if navigator is None:
@@ -94,7 +96,7 @@ def guided(
     return navigator
 
 
-def make(node: Node, request: Request, grid: VoxelGrid) -> Floats | None:
+def make(node: Node, request: PlanRequest, grid: VoxelGrid) -> Floats | None:
     """The trajectory that is asked for, or None if there is no way."""
     seed = rng.native_seed(node.spec.seed, "planner", request.trajectory_seq)
     with node.kernel(node.spec.planner):
@@ -107,6 +109,6 @@ def make(node: Node, request: Request, grid: VoxelGrid) -> Floats | None:
         return trajectory(path, request.departure, grid, request.limit, *limits)
 
 
-def announced(node: Node, request: Request, points: Floats | None) -> Any:
+def announced(node: Node, request: PlanRequest, points: Floats | None) -> Any:
     """The message of what was made, the mission not being given up."""
     return plan_message(header(node.now_ns, "map"), request.plan(points))

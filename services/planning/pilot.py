@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from services.bus.arrays import NO_PLAN, Floats, Plan, Verdict
-from services.bus.safety import BRAKE_BELOW_S, DECELERATION_M_S2
+from services.models.safety import BRAKE_BELOW_S, DECELERATION_M_S2
 from services.planning.trajectory import Departure
 from services.planning.voxels import CLOSE, NEAR
 
@@ -43,8 +43,8 @@ _TRAIL_STEP_M = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
-    """A plan to be made.
+class PlanRequest:
+    """A request to plan: the state to start from and the goal to reach.
 
     ``trajectory_seq`` also counts the attempts, for the seed; ``limit`` is the level of voxels that
     are blocked.
@@ -112,7 +112,7 @@ class Navigator:
 
     def consider(
         self, now_s: float, position: Floats, velocity: Floats, yaw: float, verdict: Verdict
-    ) -> Request | None:
+    ) -> PlanRequest | None:
         """The plan to make at virtual time ``now_s``, or None if the present trajectory will do.
 
         ``position`` and ``velocity`` (3,) in the world frame; the trajectory will be flown from
@@ -123,7 +123,7 @@ class Navigator:
             return None
         self._seq = min((self._seq or verdict.trajectory_seq) + 1, _SEQ_MAX)
         refuge = self._refuge(position) if self._resort == "retreat" else None
-        return Request(
+        return PlanRequest(
             departure=self._departure(now_s, position, velocity, yaw, verdict),
             goal=self._goal if refuge is None else refuge,
             trajectory_seq=self._seq,
@@ -132,7 +132,7 @@ class Navigator:
             retreat=refuge is not None,
         )
 
-    def answer(self, request: Request, points: Floats | None) -> Plan:
+    def answer(self, request: PlanRequest, points: Floats | None) -> Plan:
         """The plan to publish once the planner has answered ``request`` with a trajectory or None.
 
         A plan in flight that failed is tried again from a standstill. What failed from there is tried

@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.bus import rng
 from services.bus.arrays import Plan, plan, xyz
-from services.bus.trial import NoSampleError, Recording, Sample, Trial, cdr, decoded
+from services.bus.octomaps import known
 from services.planning.frontier import frontier
-from services.planning.pilot import Request
+from services.planning.pilot import PlanRequest
 from services.planning.planners import plan as find_path
 from services.planning.sweep import lawn_mower
 from services.planning.trajectory import Departure, trajectory
-from services.planning.voxels import NEAR, VoxelGrid, known, unpack
+from services.planning.voxels import NEAR, VoxelGrid, unpack
+from services.runtime import rng
+from services.runtime.kernel_trial import KernelTrial, NoSampleError, Sample, SampleFlight, cdr, decoded
 
 _DETOUR = 1.05  # of the straight way, at least
 _SPACING_M = 4.0
@@ -25,7 +26,7 @@ _MAPS = 8
 """Before a trajectory, among which is the one that it was planned in."""
 
 
-def record(flight: Recording) -> Sample:
+def record(flight: SampleFlight) -> Sample:
     """The first trajectory that was planned in flight to lead around something.
 
     Its input is the state at a row of the trajectory before it, and one of the maps before it; the right
@@ -58,7 +59,7 @@ def _departure(before: Plan, made: Plan) -> NDArray[np.float64] | None:
 
 
 def _sample(
-    flight: Recording,
+    flight: SampleFlight,
     departure: NDArray[np.float64],
     goal: NDArray[np.float64],
     seed: int,
@@ -72,16 +73,16 @@ def _sample(
         "limits": np.array([motion.speed_m_s, motion.acceleration_m_s2]),
         "map": octomap,
     }
-    path = Planner(flight.spec.planner, sample)
+    path = PlannerTrial(flight.spec.planner, sample)
     path.run()
     return sample | {"path": np.empty((0, 3)) if path.path is None else path.path}
 
 
 def _gives(sample: Sample, made: Plan, planner: str) -> bool:
-    """Whether the kernels make of the sample what was made in flight."""
+    """Whether the kernels reproduce from the sample what was made in flight."""
     if not len(sample["path"]):
         return False
-    smoothing = Smoothing(planner, sample)
+    smoothing = SmoothingTrial(planner, sample)
     smoothing.run()
     return smoothing.rows is not None and np.array_equal(smoothing.rows, made.points)
 
@@ -92,7 +93,7 @@ def _leads_around(sample: Sample) -> bool:
     return bool(legs.sum() > _DETOUR * np.linalg.norm(path[-1] - path[0]))
 
 
-class Planner(Trial):
+class PlannerTrial(KernelTrial):
     """One planner's path around what is in the way: corners (n, 3), m."""
 
     def __init__(self, kernel: str, sample: Sample) -> None:
@@ -103,7 +104,7 @@ class Planner(Trial):
         self.path: NDArray[np.float64] | None = None
 
     def run(self) -> None:
-        """Look for a path."""
+        """Plan a path from the sample's start to its goal."""
         self.path = find_path(
             self._planner, self._grid, self._departure.position, self._goal, self._seed, NEAR
         )
@@ -113,7 +114,7 @@ class Planner(Trial):
         return np.empty((0, 3)) if self.path is None else self.path
 
 
-class Sweep(Trial):
+class SweepTrial(KernelTrial):
     """The lanes over the space between the vehicle and its goal, and some more: their ends (2n, 3), m."""
 
     def __init__(self, _: str, sample: Sample) -> None:
@@ -123,15 +124,15 @@ class Sweep(Trial):
         self.ends = np.empty((0, 3))
 
     def run(self) -> None:
-        """Lay the lanes."""
+        """Compute the lanes of the sweep."""
         self.ends = lawn_mower(self._low, self._high, self._start, _SPACING_M)
 
     def values(self) -> NDArray[Any]:
-        """Their ends."""
+        """The ends of the lanes, in the order in which they are flown."""
         return self.ends
 
 
-class Frontier(Trial):
+class FrontierTrial(KernelTrial):
     """The place from which to see more of that space: (1, 3), m."""
 
     def __init__(self, _: str, sample: Sample) -> None:
@@ -143,7 +144,7 @@ class Frontier(Trial):
         self.place = np.empty(0)
 
     def run(self) -> None:
-        """Choose the place."""
+        """Choose the frontier to fly to."""
         grid = self._grid
         around = grid.levels, self._known, grid.origin, grid.resolution_m
         self.place = frontier(*around, *self._area, self._departure.position, np.empty((0, 3)))
@@ -153,7 +154,7 @@ class Frontier(Trial):
         return self.place.reshape(-1, 3)
 
 
-class Smoothing(Trial):
+class SmoothingTrial(KernelTrial):
     """The trajectory along the path that the flight's planner found: rows (n, 12), as on the bus."""
 
     def __init__(self, _: str, sample: Sample) -> None:
@@ -163,7 +164,7 @@ class Smoothing(Trial):
         self.rows: NDArray[np.float64] | None = None
 
     def run(self) -> None:
-        """Smooth the path."""
+        """Smooth the path of the sample into a trajectory."""
         self.rows = trajectory(self._path, self._departure, self._grid, NEAR, *self._limits)
 
     def values(self) -> NDArray[Any]:
@@ -180,8 +181,8 @@ def problem(sample: Sample) -> tuple[VoxelGrid, Departure]:
     return unpack(octomap.data.tobytes(), octomap.resolution, *box), departure
 
 
-def _request(departure: Departure, goal: NDArray[np.float64]) -> Request:
-    return Request(departure, goal, 0, 0, NEAR, retreat=False)
+def _request(departure: Departure, goal: NDArray[np.float64]) -> PlanRequest:
+    return PlanRequest(departure, goal, 0, 0, NEAR, retreat=False)
 
 
 def _area(departure: Departure, goal: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from services.bus.safety import SPEED_LIMIT_M_S
+from services.models.safety import SPEED_LIMIT_M_S
 from services.planning.polyline import subdivide
 from services.planning.spline import excess, minimum_snap, sample
 from services.planning.voxels import CLOSE, NEAR, OCCUPIED, VoxelGrid, edge_clear, level_at

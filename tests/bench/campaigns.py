@@ -15,9 +15,9 @@ import time
 from contextlib import closing
 from pathlib import Path
 
-from dashboard.campaigns.records import Record
-from dashboard.campaigns.store import Store
-from services.bus import rng
+from dashboard.campaigns.flight_record import FlightRecord
+from dashboard.campaigns.store.store import Store
+from services.runtime import rng
 from tests.conftest import alive
 from tests.dashboard.campaigns.test_durability import done, workers
 from tests.dashboard.command import ZENFI
@@ -72,7 +72,7 @@ def under_fire(store: Path, path: str, runs: int, kills: list[str]) -> None:
     assert command.wait() == 0, "the campaign did not end"
 
 
-def records(store: Path) -> list[Record]:
+def records(store: Path) -> list[FlightRecord]:
     with closing(Store(store)) as opened:
         return list(opened.records(opened.find("1")))
 

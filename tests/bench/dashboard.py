@@ -27,15 +27,15 @@ from pathlib import Path
 import sqlalchemy as sa
 from playwright.sync_api import Browser, sync_playwright
 
-from dashboard.campaigns.schema import RunRow
 from dashboard.campaigns.spec import Arm, CampaignSpec, Run
-from dashboard.campaigns.store import Store
-from services.bus.mission import FaultSpec
-from services.bus.outcome import InjectionRecord, Outcome
+from dashboard.campaigns.store.schema import RunRow
+from dashboard.campaigns.store.store import Store
+from services.models.mission import FaultSpec
+from services.models.outcome import InjectionRecord, Outcome
 from tests.bench.viewers import compare, elsewhere, here, nobody
 from tests.conftest import cpu_s
 from tests.dashboard.api.conftest import serving
-from tests.dashboard.campaigns.test_store import outcome
+from tests.dashboard.campaigns.store.test_store import outcome
 
 KERNELS = ("point_cloud", "octomap", "collision_check", "rrt_star", "trajectory", "pid")
 EVERY_S = 0.4
@@ -76,7 +76,7 @@ def fill(folder: Path, runs: int) -> str:
         found = store.create(many(runs))
         flown = {run: ended(run, planned) for run, planned in store.planned(found).items()}
         store.write(found, store.states(found), [], flown)
-        store.wish(found, "pause")
+        store.set_desired_state(found, "pause")
         return found.label
 
 
@@ -111,7 +111,7 @@ def page(runs: int) -> None:
                     "service_cpu_s": round(cpu_s(one.process.pid) - used, 2),
                 }
                 print(json.dumps(told), flush=True)
-                shown.get_by_text("Being reckoned.").wait_for(state="hidden", timeout=300e3)
+                shown.get_by_text("Being computed.").wait_for(state="hidden", timeout=300e3)
 
 
 def pushes(runs: int, count: int, seconds: int) -> None:

@@ -7,12 +7,12 @@ and the quickest taken, as the machine is shared. Recomputation is not in it.
 import sys
 import time
 
-from deploy.forkserver import ForkServer
-from deploy.watch import record
-from detector.scheme import Floats, Scheme
-from detector.schemes import load_detector, with_models
-from detector.series import Series
-from services.bus.mission import MissionSpec
+from deploy.bench.detector_series import record
+from deploy.mission.fork_server import ForkServer
+from detector.schemes.base import Floats, Scheme
+from detector.schemes.registry import load_detector, with_models
+from detector.series.series import Series
+from services.models.mission import MissionSpec
 
 ROUNDS = 25
 

@@ -7,9 +7,9 @@ import json
 import statistics
 import sys
 
-from dashboard.campaigns.scheduler import fly_all
 from dashboard.campaigns.spec import Run
-from services.bus.mission import MissionSpec
+from services.models.mission import MissionSpec
+from tests.bench.fly_all import fly_all
 
 ENVIRONMENTS = ("factory", "farm", "sparse", "dense")
 

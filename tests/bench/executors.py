@@ -12,7 +12,7 @@ from pathlib import Path
 
 from distributed import LocalCluster
 
-from deploy.dask_slot import RESOURCE
+from deploy.workers.dask_task import RESOURCE
 from tests.bench.campaigns import records, spec, undisturbed
 
 

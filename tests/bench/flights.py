@@ -10,9 +10,10 @@ import time
 
 import numpy as np
 
-from dashboard.campaigns.scheduler import Finished, fly_all
+from dashboard.campaigns.scheduler import Finished
 from dashboard.campaigns.spec import Run
-from services.bus.mission import FaultSpec, MissionSpec
+from services.models.mission import FaultSpec, MissionSpec
+from tests.bench.fly_all import fly_all
 
 
 def golden(flights: int) -> list[Run]:

@@ -12,14 +12,14 @@ from contextlib import closing
 
 import numpy as np
 
-from deploy.forkserver import ForkServer
-from deploy.mission import Flight, fly
-from deploy.pairing import draw_call
-from deploy.present import series
-from detector.schemes import with_models
-from services.bus.detection import DetectorSpec
+from deploy.mission.flight import FlownMission, fly
+from deploy.mission.fork_server import ForkServer
+from deploy.mission.golden_twin import draw_call
+from deploy.recording.flight_status import series
+from detector.schemes.registry import with_models
 from services.bus.horizon import Stamped
-from services.bus.mission import FaultSpec, MissionSpec
+from services.models.detection import DetectorSpec
+from services.models.mission import FaultSpec, MissionSpec
 
 WORLDS = ("sparse", "dense")
 TARGETS = (
@@ -40,7 +40,7 @@ Messages = Mapping[str, Sequence[Stamped]]
 def main(flights: int, schemes: Iterable[str]) -> None:
     print("| detector | injected | missed | golden, missed succeed | time over golden | farthest from it m |")
     print("|---|---|---|---|---|---|")
-    twins: dict[tuple[str, int], Flight] = {}
+    twins: dict[tuple[str, int], FlownMission] = {}
     with closing(ForkServer()) as server:
         for scheme in schemes:
             pairs = [one for number in range(flights) if (one := struck(server, twins, scheme, number))]
@@ -48,8 +48,8 @@ def main(flights: int, schemes: Iterable[str]) -> None:
 
 
 def struck(
-    server: ForkServer, twins: dict[tuple[str, int], Flight], scheme: str, number: int
-) -> tuple[Flight, Flight] | None:
+    server: ForkServer, twins: dict[tuple[str, int], FlownMission], scheme: str, number: int
+) -> tuple[FlownMission, FlownMission] | None:
     """A golden flight and the same with a fault; None if that was never injected."""
     bit = EXPONENT_AND_SIGN[number // len(TARGETS) % len(EXPONENT_AND_SIGN)]
     fault = FaultSpec(level="source", target=TARGETS[number % len(TARGETS)], seed=number, bit_numbers=(bit,))
@@ -65,7 +65,7 @@ def struck(
     return (twin, flown) if injection is not None and injection.status == "injected" else None
 
 
-def row(scheme: str, pairs: list[tuple[Flight, Flight]]) -> str:
+def row(scheme: str, pairs: list[tuple[FlownMission, FlownMission]]) -> str:
     missed = [(twin, flown) for twin, flown in pairs if not is_found(flown)]
     both = [
         flown.outcome.qof.flight_time_s / twin.outcome.qof.flight_time_s - 1.0
@@ -84,7 +84,7 @@ def row(scheme: str, pairs: list[tuple[Flight, Flight]]) -> str:
     )
 
 
-def is_found(flight: Flight) -> bool:
+def is_found(flight: FlownMission) -> bool:
     assert flight.outcome.detection is not None
     return any(alarm.true for alarm in flight.outcome.detection.alarms)
 

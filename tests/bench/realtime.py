@@ -7,11 +7,11 @@
 import json
 import sys
 
-from dashboard.campaigns.scheduler import fly_all
 from dashboard.campaigns.spec import Run
-from deploy.definitions import inlined
-from services.bus.mission import MissionSpec
-from services.bus.outcome import Outcome
+from deploy.config.definitions import inlined
+from services.models.mission import MissionSpec
+from services.models.outcome import Outcome
+from tests.bench.fly_all import fly_all
 
 FIELDS = ("flight_time_s", "distance_m", "energy_kj", "replans", "min_clearance_m")
 

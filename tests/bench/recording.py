@@ -13,14 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from deploy.forkserver import ForkServer
-from deploy.pairing import Pairs
-from services.bus.mission import MissionSpec
+from deploy.mission.fork_server import ForkServer
+from deploy.mission.golden_twin import PairFlyer
+from services.models.mission import MissionSpec
 
 
 def timed(server: ForkServer, seed: int, path: Path | None) -> tuple[float, float, str]:
     """Wall and processor time of one flight, and its digest."""
-    pairs = Pairs(server)  # without memory
+    pairs = PairFlyer(server)  # without memory
     wall, cpu = time.monotonic(), time.process_time()
     outcome = pairs.fly(MissionSpec(seed=seed), path)
     return time.monotonic() - wall, time.process_time() - cpu, outcome.digest

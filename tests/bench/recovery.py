@@ -14,21 +14,21 @@ from pathlib import Path
 
 import numpy as np
 
-from dashboard.campaigns.scheduler import fly_all
 from dashboard.campaigns.spec import Run
-from deploy.forkserver import ForkServer
-from deploy.mission import Flight, fly
-from deploy.pairing import Pairs, draw_call
-from deploy.watch import series
-from detector.changes import followed
-from detector.lessons import load_lessons
-from detector.preprocess import levels
-from detector.schemes import load_detector, with_models
-from detector.series import Series
-from detector.watched import WATCHED
-from services.bus.detection import DetectorSpec
-from services.bus.mission import FaultSpec, MissionSpec
-from services.bus.outcome import InjectionRecord, Outcome
+from deploy.bench.detector_series import series
+from deploy.mission.flight import FlownMission, fly
+from deploy.mission.fork_server import ForkServer
+from deploy.mission.golden_twin import PairFlyer, draw_call
+from detector.schemes.registry import load_detector, with_models
+from detector.series.changes import followed
+from detector.series.monitored_states import WATCHED
+from detector.series.preprocessing import levels
+from detector.series.series import Series
+from services.models.detection import DetectorSpec
+from services.models.mission import FaultSpec, MissionSpec
+from services.models.outcome import InjectionRecord, Outcome
+from tests.bench.fly_all import fly_all
+from tests.detector.stored_lessons import load_lessons
 
 WORLDS = ("sparse", "dense")
 TARGETS = ("trajectory.position", "trajectory.velocity", "command.velocity")
@@ -98,7 +98,7 @@ def golden_row(world: str, scheme: str, pairs: list[tuple[Outcome, Outcome]]) ->
 
 def struck(flights: int, schemes: Iterable[str]) -> None:
     server = ForkServer()
-    pairs = Pairs(server)
+    pairs = PairFlyer(server)
     lessons = load_lessons(LESSONS)
     largest = {name: max(float(np.abs(one[name]).max(initial=0)) for one in lessons) for name in lessons[0]}
     print(
@@ -117,7 +117,7 @@ def struck(flights: int, schemes: Iterable[str]) -> None:
 class Trial:
     """One fault: flown golden, struck without recovery, struck with it."""
 
-    def __init__(self, twin: Outcome, free: Flight, held: Outcome) -> None:
+    def __init__(self, twin: Outcome, free: FlownMission, held: Outcome) -> None:
         self.twin, self.free, self.held = twin, free.outcome, held
         self.series = series(free.outcome.spec, free)
         assert self.free.injection is not None
@@ -131,7 +131,7 @@ class Trial:
 
 
 def trial(
-    server: ForkServer, pairs: Pairs, scheme: str, number: int, largest: dict[str, float]
+    server: ForkServer, pairs: PairFlyer, scheme: str, number: int, largest: dict[str, float]
 ) -> Trial | None:
     world, target = WORLDS[number % 2], TARGETS[number % 3]
     fault = FaultSpec(

@@ -7,10 +7,10 @@ on another, kernels in turn. Divergences are told as they come.
 import sys
 from collections import Counter
 
-from deploy.forkserver import ForkServer
-from deploy.pairing import Pairs
-from deploy.replay import replay
-from services.bus.mission import FaultSpec, Limits, MissionSpec
+from deploy.mission.fork_server import ForkServer
+from deploy.mission.golden_twin import PairFlyer
+from deploy.mission.replay import replay
+from services.models.mission import FaultSpec, Limits, MissionSpec
 
 TARGETS = ("pid", "trajectory", "pid", "collision_check", "point_cloud", "octomap", "rrt_star")
 SPEC = MissionSpec(world="sparse", seed=7, limits=Limits(mission_time_s=8.0))
@@ -19,7 +19,7 @@ SPEC = MissionSpec(world="sparse", seed=7, limits=Limits(mission_time_s=8.0))
 def main() -> None:
     injections, first = (int(given) for given in (*sys.argv[1:], *("100", "0")[len(sys.argv) - 1 :]))
     recorder, repeater = ForkServer(), ForkServer()
-    pairs = Pairs(recorder)
+    pairs = PairFlyer(recorder)
     answers: Counter[tuple[str, str]] = Counter()
     for number in range(first, first + injections):
         target = TARGETS[number % len(TARGETS)]
@@ -27,14 +27,15 @@ def main() -> None:
         record = outcome.injection
         assert record is not None
         if record.trigger is None or record.trigger.site is None:
-            answers[record.mode, f"not replayable: {record.status}"] += 1
+            answers[record.precision, f"not replayable: {record.status}"] += 1
             continue
         answer = replay(outcome, repeater)
-        answers[record.mode, answer.answer] += 1
+        answers[record.precision, answer.answer] += 1
         if answer.answer != "replayed":
-            print(f"{target}, seed {number}, {record.mode}, {record.symbol}: {'; '.join(answer.differences)}")
-    for (mode, what), count in sorted(answers.items()):
-        print(f"{mode:12} {what:14} {count}")
+            where = f"{target}, seed {number}, {record.precision}, {record.symbol}"
+            print(f"{where}: {'; '.join(answer.differences)}")
+    for (precision, what), count in sorted(answers.items()):
+        print(f"{precision:12} {what:14} {count}")
     repeater.close()
     recorder.close()
 

@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from dashboard.campaigns.listing import RunLine, RunQuery
 from dashboard.campaigns.presets import scaled
-from dashboard.campaigns.spec import Recording, load_campaign
-from dashboard.client import Client, RefusedError
-from services.bus.mission import MissionSpec
+from dashboard.campaigns.spec import RecordingPolicy, load_campaign
+from dashboard.campaigns.store.listing import RunLine, RunQuery
+from dashboard.client import Client, RequestRefusedError
+from services.models.mission import MissionSpec
 from tests.dashboard.api.conftest import serving
 
 LOOK_S = 0.3
@@ -72,9 +72,11 @@ def main(folder: Path, store: Path | None) -> None:
         client = stack.enter_context(Client(service.address))
         if store is None:
             spec = scaled(load_campaign("fig7"), 0.1)
-            made = client.create(spec.model_copy(update={"recording": Recording(keep="all")})).campaign
-            until(lambda: client.campaign(made).phase == "done")
-        label = max(client.campaigns(), key=lambda line: line.done).campaign
+            made = client.campaigns.create(
+                spec.model_copy(update={"recording": RecordingPolicy(keep="all")})
+            ).campaign
+            until(lambda: client.campaigns.get(made).phase == "done")
+        label = max(client.campaigns.all(), key=lambda line: line.done).campaign
         run = most_astray(client, label)
         playwright = stack.enter_context(sync_playwright())
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
@@ -84,7 +86,7 @@ def main(folder: Path, store: Path | None) -> None:
         with at_work(client):
             take(browser, folder, HOME, service.address + HOME.path)
         for shot in LIVE:
-            flight = client.fly(MissionSpec(mission="scanning", seed=7)).campaign.campaign
+            flight = client.flights.create(MissionSpec(mission="scanning", seed=7)).campaign.campaign
             until(lambda: len(client.nodes()) > 0)
             take(browser, folder, shot, service.address + shot.path)
             remove(client, flight)
@@ -98,7 +100,7 @@ def take(browser: Browser, folder: Path, shot: Shot, address: str) -> None:
     )
     page.goto(address)
     page.wait_for_function("window.did_handshake === true")
-    page.get_by_text("Being reckoned").first.wait_for(state="hidden")
+    page.get_by_text("Being computed").first.wait_for(state="hidden")
     shot.before(page)
     page.wait_for_timeout(3000)
     anchor = address.partition("#")[2]
@@ -128,15 +130,15 @@ def at_work(client: Client) -> Iterator[None]:
     """Campaigns of which one was paused, one flies and one waits for its turn, for as long as that."""
 
     def begin(preset: str, scale: float, flown: int) -> str:
-        label = client.create(preset=preset, scale=scale).campaign
-        until(lambda: client.campaign(label).done >= flown)
+        label = client.campaigns.create(preset=preset, scale=scale).campaign
+        until(lambda: client.campaigns.get(label).done >= flown)
         return label
 
     def phase(label: str, wanted: str) -> None:
-        until(lambda: client.campaign(label).phase == wanted)
+        until(lambda: client.campaigns.get(label).phase == wanted)
 
     paused = begin("table3", 0.1, 12)
-    client.steer(paused, "pause")
+    client.campaigns.command(paused, "pause")
     phase(paused, "paused")
     flying = begin("fig9", 1.0, 12)
     waiting = begin("demo", 1.0, 0)
@@ -147,14 +149,14 @@ def at_work(client: Client) -> Iterator[None]:
 
 def remove(client: Client, label: str) -> None:
     """Take away what was begun for a picture."""
-    if client.campaign(label).phase not in ("done", "cancelled"):
-        client.steer(label, "cancel")
-        until(lambda: client.campaign(label).phase == "cancelled")
+    if client.campaigns.get(label).phase not in ("done", "cancelled"):
+        client.campaigns.command(label, "cancel")
+        until(lambda: client.campaigns.get(label).phase == "cancelled")
 
     def gone() -> bool:
         try:
-            client.delete(label)
-        except RefusedError:  # its pilot is about to leave it
+            client.campaigns.delete(label)
+        except RequestRefusedError:  # its pilot is about to leave it
             return False
         return True
 
@@ -163,14 +165,14 @@ def remove(client: Client, label: str) -> None:
 
 def most_astray(client: Client, label: str) -> str:
     """The page of the run whose time of flight differs most from its golden twin's; both are recorded."""
-    runs = client.runs(label, RunQuery(limit=1000, phase="done"))
+    runs = client.runs.all(label, RunQuery(limit=1000, phase="done"))
 
     def astray_s(line: RunLine) -> float:
         flown = line.result
         return abs(flown.flight_time_s - (flown.twin_flight_time_s or flown.flight_time_s)) if flown else 0.0
 
     chosen = max(runs, key=astray_s)
-    client.record(label, chosen.id)
+    client.runs.record(label, chosen.id)
     return f"/campaigns/{label}/runs/{chosen.id}"
 
 

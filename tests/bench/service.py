@@ -21,11 +21,11 @@ from pathlib import Path
 import httpx
 
 from dashboard.campaigns.spec import Arm, CampaignSpec
-from dashboard.campaigns.store import Store
+from dashboard.campaigns.store.store import Store
 from dashboard.client import Client
-from services.bus.mission import Limits, MissionSpec
+from services.models.mission import Limits, MissionSpec
 from tests.dashboard.api.conftest import Serving, serving
-from tests.dashboard.campaigns.test_store import outcome
+from tests.dashboard.campaigns.store.test_store import outcome
 
 QUERIES = (
     "",
@@ -52,7 +52,7 @@ def fill(folder: Path, runs: int) -> None:
             for run in states.runs
         }
         store.write(found, states, [], flown)
-        store.wish(found, "pause")
+        store.set_desired_state(found, "pause")
 
 
 def pages(runs: int) -> None:
@@ -107,7 +107,7 @@ def flown_in(one: Serving, runs: int, clients: int) -> float:
             deaf = stack.enter_context(socket.create_connection((host, int(port))))
             deaf.sendall(b"GET /api/v1/events HTTP/1.1\r\nHost: localhost\r\n\r\n")
         with Client(one.address) as client:
-            label = client.create(spec).campaign
+            label = client.campaigns.create(spec).campaign
             seen = [time.monotonic() for event in client.watch(label) if event.kind == "run"]
     return seen[-1] - seen[0]
 

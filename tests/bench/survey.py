@@ -9,12 +9,12 @@ from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
-from injector.clock import Clock
-from injector.elf import Places
-from injector.process import Maps
-from injector.study import striking
-from injector.subject import Subject
-from injector.survey import Surveyor
+from injector.kernel_study.anchor_search import AnchorSearch
+from injector.kernel_study.instruction_index import InstructionIndex
+from injector.kernel_study.study import subject_injector
+from injector.kernel_study.subject import Subject
+from injector.tracing.elf import CodeLocations
+from injector.tracing.process import MemoryMap
 from services.kernels import KERNELS
 
 AT_A_TIME = 200_000
@@ -24,19 +24,19 @@ PARTS = 50
 def main(names: list[str]) -> None:
     for name in names:
         subject = Subject(KERNELS[name])
-        with striking(name, subject, *subject.fork()) as strikes:
-            tell(name, strikes.surveyor.survey(f"clock {name}"), strikes.surveyor)
+        with subject_injector(name, subject, *subject.fork()) as injector:
+            tell(name, injector.anchor_search.run(f"clock {name}"), injector.anchor_search)
 
 
-def tell(name: str, clock: Clock, surveyor: Surveyor) -> None:
-    pid = surveyor.root.pid
-    places = Places(pid, Maps(Path(f"/proc/{pid}/maps").read_text()))
+def tell(name: str, clock: InstructionIndex, anchor_search: AnchorSearch) -> None:
+    pid = anchor_search.root.pid
+    places = CodeLocations(pid, MemoryMap(Path(f"/proc/{pid}/maps").read_text()))
     every: Counter[int] = Counter()
     within: Counter[int] = Counter()
     lots = []
     reach, passed = clock.reach, 0
     reaches = {one.address: one.reach for one in clock.anchors}
-    for lot in instructions(surveyor):
+    for lot in instructions(anchor_search):
         reached = 0
         for address in lot:
             if address in reaches:
@@ -63,14 +63,14 @@ def tell(name: str, clock: Clock, surveyor: Surveyor) -> None:
         )
 
 
-def instructions(surveyor: Surveyor) -> Iterator[list[int]]:
+def instructions(anchor_search: AnchorSearch) -> Iterator[list[int]]:
     """All of the call, some at a time."""
-    copy = surveyor.copies.copy(surveyor.root)
+    copy = anchor_search.forks.copy(anchor_search.root)
     ended = False
     while not ended:
-        yield surveyor.tracees.trace(copy, AT_A_TIME)
+        yield anchor_search.tracees.trace(copy, AT_A_TIME)
         ended = copy.report is not None and copy.report.kind == "gate"
-    surveyor.copies.end(copy)
+    anchor_search.forks.end(copy)
 
 
 if __name__ == "__main__":

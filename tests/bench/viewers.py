@@ -14,9 +14,9 @@ from pathlib import Path
 from playwright.sync_api import Browser
 
 from dashboard.campaigns.spec import Arm, CampaignSpec
-from dashboard.campaigns.store import Store
+from dashboard.campaigns.store.store import Store
 from dashboard.client import Client
-from services.bus.mission import Limits, MissionSpec
+from services.models.mission import Limits, MissionSpec
 from tests.conftest import cpu_s, descendants
 from tests.dashboard.api.conftest import Serving, serving
 
@@ -77,7 +77,7 @@ def flown(one: Serving, folder: Path, runs: int, looking: Looking) -> Told:
         label = store.create(spec).label
     seen: list[tuple[float, ...]] = []
     with Client(one.address) as client, looking(f"{one.address}/campaigns/{label}") as told:
-        client.steer(label, "resume")
+        client.campaigns.command(label, "resume")
         ended = 0
         for event in client.watch(label):
             if event.kind == "run":

@@ -9,10 +9,10 @@ import time
 
 import numpy as np
 
-from services.bus.mission import MissionSpec
 from services.bus.topics import TICK_NS
-from sim.camera import DepthCamera
-from sim.flight import Flight
+from services.models.mission import MissionSpec
+from sim.flight import SimulatedFlight
+from sim.sensors.camera import DepthCamera
 
 FLIGHT_S = 95.0
 FRAME_EVERY = 8
@@ -21,7 +21,7 @@ FRAME_EVERY = 8
 def main() -> None:
     profile, world = (*sys.argv[1:], "fast", "sparse")[:2] if len(sys.argv) < 3 else sys.argv[1:3]
     spec = MissionSpec.model_validate({"profile": profile, "world": world, "seed": 7})
-    flight, camera = Flight(spec), DepthCamera(spec.camera, spec.seed)
+    flight, camera = SimulatedFlight(spec), DepthCamera(spec.camera, spec.seed)
     flight.advance(0, [(0, np.zeros(4))])
     camera.render(flight.vehicle)
     ticks = round(FLIGHT_S * 1e9 / TICK_NS)

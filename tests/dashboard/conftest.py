@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from dashboard.campaigns.store import Store
+from dashboard.campaigns.store.store import Store
 from tests.fixtures import postgresql
 
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.forkserver import ForkServer
-from deploy.pairing import Pairs
-from services.bus.mission import FaultSpec, MissionSpec
+from deploy.mission.fork_server import ForkServer
+from deploy.mission.golden_twin import PairFlyer
+from services.models.mission import FaultSpec, MissionSpec
 
 GOLDEN = MissionSpec(seed=7)
 FAULTY = GOLDEN.model_copy(
@@ -20,7 +20,7 @@ def flights(server: ForkServer, tmp_path_factory: pytest.TempPathFactory) -> dic
     folder = tmp_path_factory.mktemp("flights")
     found = {}
     for again in ("", "-again"):
-        pairs = Pairs(server)  # knows nothing of the first time
+        pairs = PairFlyer(server)  # knows nothing of the first time
         for name, spec in (("golden", GOLDEN), ("faulty", FAULTY)):
             found[name + again] = folder / f"{name}{again}.mcap"
             pairs.fly(spec, found[name + again], {"campaign": "tests-1", "run": "7"})

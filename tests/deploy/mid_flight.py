@@ -7,23 +7,23 @@ from collections.abc import Callable
 
 import pytest
 
-from deploy.forkserver import ForkServer
-from deploy.mission import Flight, fly
-from deploy.recorder import Recorder
-from services.bus.mission import MissionSpec
+from deploy.mission.flight import FlownMission, fly
+from deploy.mission.fork_server import ForkServer
+from deploy.recording.recorder import FlightRecorder
+from services.models.mission import MissionSpec
 from tests.conftest import node, wait_until
 
 FLOWN_NS = 2_000_000_000
 """Of virtual time: a plan is made and flown; no mission of the tests is over by then."""
 
 
-def fly_and(server: ForkServer, spec: MissionSpec, meanwhile: Callable[[], None]) -> Flight:
+def fly_and(server: ForkServer, spec: MissionSpec, meanwhile: Callable[[], None]) -> FlownMission:
     """Fly, and do something once a good part is flown.
 
     :raises Exception: what the flight failed with.
     """
-    recorders: list[Recorder] = []
-    flights: list[Flight | Exception] = []
+    recorders: list[FlightRecorder] = []
+    flights: list[FlownMission | Exception] = []
 
     def fly_it() -> None:
         try:
@@ -48,7 +48,7 @@ def fly_and(server: ForkServer, spec: MissionSpec, meanwhile: Callable[[], None]
     return flight
 
 
-def fly_and_kill(server: ForkServer, spec: MissionSpec, name: str) -> Flight:
+def fly_and_kill(server: ForkServer, spec: MissionSpec, name: str) -> FlownMission:
     """Fly and kill a node on the way; on a busy machine the flight may be over first, then again."""
 
     def kill() -> None:

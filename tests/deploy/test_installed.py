@@ -13,9 +13,9 @@ from zipfile import ZipFile
 
 import pytest
 
-from deploy.forkserver import ForkServer
-from deploy.mission import fly
-from services.bus.mission import MissionSpec
+from deploy.mission.flight import fly
+from deploy.mission.fork_server import ForkServer
+from services.models.mission import MissionSpec
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())

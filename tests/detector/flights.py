@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from detector.series import Checks, Series
-from detector.watched import WATCHED
+from detector.series.monitored_states import WATCHED
+from detector.series.series import Checks, Series
 
 Floats = NDArray[np.float64]
 STEP_S, TICK_S = 0.25, 0.04

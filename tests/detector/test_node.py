@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 
 from detector.node import judge
-from detector.scheme import Scheme
-from detector.schemes import in_flight, rehearse, with_models
-from detector.watched import WATCHED
+from detector.schemes.base import Scheme
+from detector.schemes.registry import in_flight, rehearse, with_models
+from detector.series.monitored_states import WATCHED
 from services.bus.arrays import Floats, vector
-from services.bus.detection import DetectorSpec
+from services.bus.detector_protocol import DetectorReply, answer, answered, asked, question
 from services.bus.messages import CollisionCheck, Trajectory, Twist, TwistStamped, header
-from services.bus.shown import shown_command, shown_trajectory, shown_verdict
-from services.bus.states import STATES
-from services.bus.verdicts import Found, answer, answered, asked, question
-from services.bus.vitals import Vitals
+from services.models.detection import DetectorSpec
+from services.models.inter_kernel_states import STATES
+from services.runtime.monitored_values import shown_command, shown_trajectory, shown_verdict
+from services.system.shared_stats import SharedStats
 
 
 @pytest.fixture
-def vitals() -> Vitals:
-    return Vitals.create("detector")
+def stats() -> SharedStats:
+    return SharedStats.create("detector")
 
 
 @pytest.fixture
@@ -35,9 +35,9 @@ def command(speed_m_s: float) -> bytes:
     return question(rows, fresh=False)
 
 
-def test_a_jump_is_alarmed_and_the_sound_value_after_it_is_not(gaussian: Scheme, vitals: Vitals) -> None:
-    def judged(speed_m_s: float) -> Found | None:
-        return judge(gaussian, "control", command(speed_m_s), vitals.page)
+def test_a_jump_is_alarmed_and_the_sound_value_after_it_is_not(gaussian: Scheme, stats: SharedStats) -> None:
+    def judged(speed_m_s: float) -> DetectorReply | None:
+        return judge(gaussian, "control", command(speed_m_s), stats.page)
 
     assert judged(1.0) is None
     found = judged(1e30)
@@ -45,16 +45,16 @@ def test_a_jump_is_alarmed_and_the_sound_value_after_it_is_not(gaussian: Scheme,
     assert (found.state, found.row) == ("command.vx", 1)
     assert found.score > 1.0
     assert judged(1.0) is None
-    assert vitals.page["invocations"][0] == vitals.page["steps"] == 3
-    assert vitals.page["cpu_ns"][0] > 0
-    assert not vitals.page["computing"]
+    assert stats.page["invocations"][0] == stats.page["steps"] == 3
+    assert stats.page["cpu_ns"][0] > 0
+    assert not stats.page["computing"]
 
 
-def test_a_fresh_question_has_no_predecessor(gaussian: Scheme, vitals: Vitals) -> None:
+def test_a_fresh_question_has_no_predecessor(gaussian: Scheme, stats: SharedStats) -> None:
     rows = np.zeros((2, len(WATCHED["control"])))
-    assert judge(gaussian, "control", question(rows, fresh=False), vitals.page) is None
+    assert judge(gaussian, "control", question(rows, fresh=False), stats.page) is None
     rows[:, WATCHED["control"].index("command.vx")] = 1e30
-    assert judge(gaussian, "control", question(rows, fresh=True), vitals.page) is None
+    assert judge(gaussian, "control", question(rows, fresh=True), stats.page) is None
 
 
 @pytest.mark.parametrize(
@@ -70,13 +70,13 @@ def test_a_fresh_question_has_no_predecessor(gaussian: Scheme, vitals: Vitals) -
     ],
 )
 def test_what_makes_no_sense_is_an_alarm(
-    stage: str, payload: bytes, gaussian: Scheme, vitals: Vitals
+    stage: str, payload: bytes, gaussian: Scheme, stats: SharedStats
 ) -> None:
-    found = judge(gaussian, stage, payload, vitals.page)
+    found = judge(gaussian, stage, payload, stats.page)
     assert found is not None
     assert found.state == ""
-    assert vitals.page["malformed"] == 1
-    assert vitals.page["invocations"][0] == 0
+    assert stats.page["malformed"] == 1
+    assert stats.page["invocations"][0] == 0
 
 
 def test_questions_and_answers_survive_the_bus() -> None:
@@ -85,8 +85,8 @@ def test_questions_and_answers_survive_the_bus() -> None:
     assert fresh
     assert numbers.tobytes() == rows.tobytes()
     assert answered(answer(None)) is None
-    assert answered(answer(Found("command.vx", 1, 1.5))) == Found("command.vx", 1, 1.5)
-    infinite = answered(answer(Found("command.vx", 1, np.inf)))
+    assert answered(answer(DetectorReply("command.vx", 1, 1.5))) == DetectorReply("command.vx", 1, 1.5)
+    infinite = answered(answer(DetectorReply("command.vx", 1, np.inf)))
     assert infinite is not None
     assert 1e300 < infinite.score < np.inf
 

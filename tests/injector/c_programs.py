@@ -15,11 +15,11 @@ from pathlib import Path
 
 import pytest
 
-from injector.freeze import Tracees
-from injector.inject import registers_of
-from injector.process import Identity, Process
-from injector.ptrace import wait_until
-from injector.thread import Thread
+from injector.faults.stopped_thread import registers_of
+from injector.tracing.process import Process, ProcessIdentity
+from injector.tracing.ptrace import wait_until
+from injector.tracing.tracee import Tracee
+from injector.tracing.tracees import TraceeGroup
 
 MARK = signal.SIGUSR1
 PATIENCE_S = 30.0
@@ -90,9 +90,9 @@ class Program:
         return self.result()
 
     @contextmanager
-    def at_kernel(self, entered: bool = True) -> Iterator[tuple[Tracees, Thread, Process]]:
+    def at_kernel(self, entered: bool = True) -> Iterator[tuple[TraceeGroup, Tracee, Process]]:
         """Begin a round and stand at the first instruction of its kernel, or at the mark before it."""
-        with Process(Identity.of(self.pid)) as process, Tracees(MARK) as tracees:
+        with Process(ProcessIdentity.of(self.pid)) as process, TraceeGroup(MARK) as tracees:
             tracees.seize([self.pid])
             thread = tracees.threads[self.pid]
             self.begin()

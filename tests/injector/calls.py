@@ -1,4 +1,4 @@
-"""A program that makes a call like a node's: a gate, scouts, and marks where the call begins and ends.
+"""A program that makes a call like a node's: a gate, probes, and marks where the call begins and ends.
 
 The call is a loop in machine code: ``passes`` times ``add rax,rcx``, then ``ret``.
 """
@@ -13,20 +13,20 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
-from injector.scout import Scout, sent_ahead
-from injector.session import inject as inject_into
-from injector.way import Call
+from injector.flight.approach import KernelCall
+from injector.flight.injection import inject as inject_into
+from injector.flight.probe import ProbeRun, sent_ahead
 from services.bus.announce import Announcement, boot_id, start_ticks
-from services.bus.mission import FaultSpec
-from services.bus.outcome import InjectionRecord
-from services.bus.rng import generator
+from services.models.mission import FaultSpec
+from services.models.outcome import InjectionRecord
+from services.runtime.rng import generator
 
 LOOP = "add rax,rcx"
 
 _CALLER = """
 import ctypes, mmap, os, signal, sys
 sys.path.insert(0, sys.argv[1])
-from services.bus.lifeline import die_with_parent
+from services.system.lifeline import die_with_parent
 libc = ctypes.CDLL(None)
 libc.prctl(0x59616D61, ctypes.c_ulong(-1), 0, 0, 0)  # anybody may trace us
 libc.prctl(1, 9)  # die with the test
@@ -39,17 +39,17 @@ call = ctypes.PYFUNCTYPE(ctypes.c_uint64, ctypes.c_uint32)(address)
 call(1)
 print(address + 4, flush=True)
 while (line := sys.stdin.readline()) != "pass\\n":
-    if line == "scout\\n":
-        scout = os.fork()
-        if not scout:
+    if line == "probe\\n":
+        probe = os.fork()
+        if not probe:
             die_with_parent()
             break
-        os.waitpid(scout, 0)
+        os.waitpid(probe, 0)
     print("gate", flush=True)
 signal.raise_signal(signal.SIGURG)
 result = call(int(sys.argv[2]))
 signal.raise_signal(signal.SIGURG)
-if line != "scout\\n":
+if line != "probe\\n":
     print(result, flush=True)
 """
 
@@ -83,18 +83,18 @@ class Caller:
         return Announcement("node", self.pid, self.pid, start_ticks(self.pid), boot_id())
 
     @contextmanager
-    def ahead(self) -> Iterator[Scout]:
-        """A scout; the program is at its gate again afterwards."""
-        with sent_ahead(self.announcement(), lambda: self.tell("scout")) as scout:
-            yield scout
+    def ahead(self) -> Iterator[ProbeRun]:
+        """A probe; the program is at its gate again afterwards."""
+        with sent_ahead(self.announcement(), lambda: self.tell("probe")) as probe:
+            yield probe
         assert self.line() == "gate\n"
 
     @property
-    def scouts(self) -> Callable[[], AbstractContextManager[Scout]]:
+    def probes(self) -> Callable[[], AbstractContextManager[ProbeRun]]:
         return self.ahead
 
     def inject(self, fault: FaultSpec, seed: int = 0) -> InjectionRecord:
-        call = Call(self.announcement(), 0, armed=lambda: self.tell("pass"), marked=True)
+        call = KernelCall(self.announcement(), 0, armed=lambda: self.tell("pass"), marked=True)
         return inject_into(call, [], fault, generator(seed, "test"))
 
     def result(self) -> int:
@@ -112,5 +112,5 @@ def caller(passes: int) -> Iterator[Caller]:
         yield one
     finally:
         with suppress(ProcessLookupError):
-            os.killpg(one.pid, signal.SIGKILL)  # its scouts too
+            os.killpg(one.pid, signal.SIGKILL)  # its probes too
         one.process.communicate()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from injector.preflight import check
+from injector.capabilities import check
 
 
 @pytest.fixture(scope="session")

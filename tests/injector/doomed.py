@@ -4,10 +4,10 @@ import signal
 import sys
 import threading
 
-from injector.freeze import Tracees
-from injector.inject import stand, step
-from injector.process import Identity, Process
-from injector.trigger import ThreadTimer, await_trap
+from injector.faults.stopped_thread import stand, step
+from injector.tracing.perf_events import ThreadTimer, await_trap
+from injector.tracing.process import Process, ProcessIdentity
+from injector.tracing.tracees import TraceeGroup
 
 PERIOD_NS = 10_000_000
 
@@ -15,7 +15,7 @@ PERIOD_NS = 10_000_000
 def main(stage: str, pid: int) -> None:
     # A sidecar has other threads, which outlive the tracing one when it is killed.
     threading.Thread(target=threading.Event().wait, daemon=True).start()
-    with Process(Identity.of(pid)) as process, Tracees() as tracees:
+    with Process(ProcessIdentity.of(pid)) as process, TraceeGroup() as tracees:
         tracees.seize([pid])
         thread = tracees.threads[pid]
         with ThreadTimer(thread, PERIOD_NS):

@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import pytest
 
-from injector.copies import Copies
-from injector.freeze import Tracees
-from injector.ptrace import wait_until
-from injector.subject import MARK
-from injector.thread import Thread
-from injector.vdso import clocks_by_system_calls
+from injector.kernel_study.remote_fork import RemoteForks
+from injector.kernel_study.subject import MARK
+from injector.reproducible.vdso import clocks_by_system_calls
+from injector.tracing.ptrace import wait_until
+from injector.tracing.tracee import Tracee
+from injector.tracing.tracees import TraceeGroup
 
 PATIENCE_S = 60.0
 
@@ -34,21 +34,21 @@ double call(void) { raise(SIGURG); double result = kernel(); raise(SIGURG); retu
 class Standing(NamedTuple):
     """A process at the beginning of its call; it tells the result on a pipe."""
 
-    tracees: Tracees
-    copies: Copies
-    root: Thread
+    tracees: TraceeGroup
+    forks: RemoteForks
+    root: Tracee
     results: int
 
     def trace(self) -> list[int]:
         """The address of every instruction of the call, by single steps."""
-        copy = self.copies.copy(self.root)
+        copy = self.forks.copy(self.root)
         found = self.tracees.trace(copy, 10**6)
         assert copy.report is not None
         assert copy.report.kind == "gate"
-        self.copies.end(copy)
+        self.forks.end(copy)
         return found
 
-    def result(self, copy: Thread) -> float | None:
+    def result(self, copy: Tracee) -> float | None:
         """Let a copy run to its end; what its kernel returned, None if it died before."""
         while copy.tid in self.tracees.threads:
             self.tracees.service()
@@ -82,7 +82,7 @@ def standing(folder: Path, kernel: str) -> Iterator[Standing]:
         os.write(tell, f"{call():.17g}".encode())
         os._exit(0)
     try:
-        with Tracees(MARK, forks=True, ours=True) as tracees:
+        with TraceeGroup(MARK, forks=True, ours=True) as tracees:
             tracees.seize([pid])
             os.write(go, b"x")
             root = tracees.threads[pid]
@@ -92,10 +92,10 @@ def standing(folder: Path, kernel: str) -> Iterator[Standing]:
                 return True if root.report is not None else None
 
             assert wait_until(there, PATIENCE_S)
-            copies = Copies(tracees)
-            yield Standing(tracees, copies, root, results)
+            forks = RemoteForks(tracees)
+            yield Standing(tracees, forks, root, results)
             for one in list(tracees.threads.values()):
-                copies.end(one)
+                forks.end(one)
     finally:
         for descriptor in (results, tell, waits, go):
             os.close(descriptor)

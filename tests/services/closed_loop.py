@@ -14,15 +14,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from services.bus.arrays import NO_PLAN, Plan, Verdict
-from services.bus.rng import generator, native_seed
 from services.control.follower import Follower
 from services.perception.collision import CollisionCounter, time_to_collision
 from services.perception.occupancy import OccupancyMap
 from services.perception.point_cloud import point_cloud
-from services.planning.pilot import Navigator, Request
+from services.planning.pilot import Navigator, PlanRequest
 from services.planning.planners import plan
 from services.planning.trajectory import trajectory
 from services.planning.voxels import unpack
+from services.runtime.rng import generator, native_seed
 
 WIDTH, HEIGHT = 64, 36
 FOCAL_PX = WIDTH / 2  # 90 deg
@@ -152,7 +152,7 @@ class Loop:
             self.flight.plans += 1
             self.flight.failures += len(answer.points) == 0
 
-    def solve(self, request: Request, payload: bytes) -> NDArray[np.float64] | None:
+    def solve(self, request: PlanRequest, payload: bytes) -> NDArray[np.float64] | None:
         """The planning kernels, one after the other."""
         grid = unpack(payload, self.occupancy.resolution_m, *request.box())
         seed = native_seed(self.seed, "planner", request.trajectory_seq)

@@ -10,7 +10,7 @@ from services.planning.pilot import Navigator
 from tests.services.closed_loop import GOAL, Latencies, Loop, fly, scattered, wall
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.soak) for seed in (1, 2))])
 @pytest.mark.parametrize("size_m", [3.0, 5.0])
 def test_it_arrives_among_many_boxes(seed: int, size_m: float) -> None:
     flight = fly(scattered(100 + seed, 0.2, size_m), seed)
@@ -41,7 +41,7 @@ def test_the_same_seed_gives_the_same_flight_and_another_seed_another() -> None:
 
 
 @pytest.mark.parametrize("stage", ["perception", "planning", "control"])
-@pytest.mark.parametrize("when_s", [5.0, 9.5])
+@pytest.mark.parametrize("when_s", [5.0, pytest.param(9.5, marks=pytest.mark.soak)])
 def test_a_stage_that_lost_its_memory_in_flight_is_no_accident(stage: str, when_s: float) -> None:
     loop = Loop(wall(), 4, "rrt_star", Latencies())
     assert loop.run(when_s).result == "timeout"

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from services.bus.trial import Output
 from services.kernels import KERNELS, PLANNERS, Kernel
 from services.perception import samples as perception
 from services.planning import samples as planning
+from services.runtime.kernel_trial import KernelOutput
 
 every_kernel = pytest.mark.parametrize("kernel", KERNELS.values(), ids=KERNELS)
 every_planner = pytest.mark.parametrize("planner", PLANNERS)
@@ -19,7 +19,7 @@ every_planner = pytest.mark.parametrize("planner", PLANNERS)
 SMALL_BYTES = 100_000
 
 
-def made(kernel: Kernel) -> Output:
+def made(kernel: Kernel) -> KernelOutput:
     trial = kernel.trial(kernel.sample())
     trial.run()
     return trial.output()
@@ -67,7 +67,7 @@ def test_the_state_of_one_trial_is_not_that_of_another(kernel: Kernel) -> None:
 @every_kernel
 def test_the_comparison_tells_a_bit_from_what_matters(kernel: Kernel) -> None:
     golden = made(kernel)
-    last_bit = Output(golden.image[:-1] + bytes([golden.image[-1] ^ 1]), golden.values)
+    last_bit = KernelOutput(golden.image[:-1] + bytes([golden.image[-1] ^ 1]), golden.values)
     assert not kernel.exact(golden, last_bit)
     assert kernel.within_tolerance(golden, last_bit)
     tolerance = np.array(kernel.tolerance)
@@ -83,15 +83,15 @@ def test_the_comparison_tells_a_bit_from_what_matters(kernel: Kernel) -> None:
 
 
 def test_two_outputs_without_an_end_are_the_same() -> None:
-    never = Output(b"", np.array([np.inf]))
+    never = KernelOutput(b"", np.array([np.inf]))
     assert KERNELS["collision_check"].within_tolerance(never, never)
-    assert not KERNELS["collision_check"].within_tolerance(never, Output(b"", np.array([1.0])))
+    assert not KERNELS["collision_check"].within_tolerance(never, KernelOutput(b"", np.array([1.0])))
 
 
 @every_planner
 def test_the_planners_have_to_look_for_a_way_around(planner: str) -> None:
     sample = KERNELS[planner].sample()
-    problem = planning.Planner(planner, sample)
+    problem = planning.PlannerTrial(planner, sample)
     grid, departure = planning.problem(sample)
     assert not grid.edge_clear(departure.position, sample["goal"])
     problem.run()
@@ -103,7 +103,7 @@ def test_the_planners_have_to_look_for_a_way_around(planner: str) -> None:
 
 def test_the_frame_changes_the_map() -> None:
     kernel = KERNELS["octomap"]
-    before = perception.Octomap("octomap", kernel.sample()).output()
+    before = perception.OctomapTrial("octomap", kernel.sample()).output()
     assert not kernel.within_tolerance(before, made(kernel))
     # It had been seen before: there are free and occupied voxels.
     assert (before.values == 0.0).sum() > 1000

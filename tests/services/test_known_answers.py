@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.bus.safety import SPEED_LIMIT_M_S
 from services.control.pid import state_at
 from services.kernels import KERNELS, PLANNERS
+from services.models.safety import SPEED_LIMIT_M_S
 from services.perception.collision import time_to_collision
 from services.perception.occupancy import OccupancyMap
 from services.perception.point_cloud import point_cloud

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from services.bus.messages import header
-from services.bus.mission import MissionSpec
 from services.bus.topics import TICK_NS
-from sim import telemetry
-from sim.flight import Flight
+from services.models.mission import MissionSpec
+from sim.flight import SimulatedFlight
+from sim.sensors import telemetry
 
 CALM = {"gust_m_s": (0.0, 0.0, 0.0)}
 
 
-def flown(fields: dict[str, object], seconds: float = 4.0) -> Flight:
-    flight = Flight(MissionSpec.model_validate(fields))
+def flown(fields: dict[str, object], seconds: float = 4.0) -> SimulatedFlight:
+    flight = SimulatedFlight(MissionSpec.model_validate(fields))
     for tick in range(round(seconds * 1e9 / TICK_NS)):
         flight.advance(tick * TICK_NS, [(tick * TICK_NS, np.array([0.5, 0.0, 0.3, 0.0]))])
     return flight
@@ -58,7 +58,7 @@ def test_drift_shows_in_odometry_but_not_in_the_flight() -> None:
 
 
 def test_a_tick_holds_the_samples_that_the_imus_rate_makes() -> None:
-    flight = Flight(MissionSpec())
+    flight = SimulatedFlight(MissionSpec())
     before = flight.felt
     assert before is None
     counts = []

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from services.bus.safety import BODY_RADIUS_M
-from services.bus.world import BoxWorld
+from services.models.safety import BODY_RADIUS_M
+from services.models.world import BoxWorld
 from sim.world import (
     DEFINITION,
     KEEP_OUT_M,

@@ -17,13 +17,12 @@ from dataclasses import dataclass, field
 
 from distributed import Client, Future, KilledWorker
 
-from dashboard.campaigns.events import Alive, Lost, Started
-from dashboard.campaigns.executors.executor import Losses, Report, Task, reports
-from deploy import dask_slot, identity
-from deploy.answer import Answer
-from deploy.check import BadSpecError
-from deploy.order import Order
-from deploy.supervisor import InfrastructureError
+from dashboard.campaigns.events import Alive, Lost, RunStarted
+from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask, Losses, reports
+from deploy.config.check import BadSpecError
+from deploy.errors import InfrastructureError
+from deploy.workers import dask_task, installation
+from deploy.workers.protocol import WorkerAnswer, WorkerOrder
 
 CONNECT_S = 10.0
 LOOK_S = 1.0
@@ -54,7 +53,7 @@ class DaskExecutor:
         self._limit = slots
         self._lease_s = lease_s
         self._session = uuid.uuid4().hex
-        self._identity = identity.told()
+        self._identity = installation.told()
         self._inbox: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._flights: dict[str, _Flight] = {}
         self._hosts: dict[str, int] = {}
@@ -63,7 +62,7 @@ class DaskExecutor:
         self._client = _connected(address)
         try:
             self._look_round()
-            self._client.subscribe_topic(dask_slot.TOPIC, self._hear)
+            self._client.subscribe_topic(dask_task.TOPIC, self._hear)
             self._refuse_strangers()
         except BaseException:
             self.close()
@@ -77,7 +76,7 @@ class DaskExecutor:
 
     @property
     def leases(self) -> set[str]:
-        """What is being worked on."""
+        """The leases of the tasks that workers have now."""
         return {flight.lease for flight in self._flights.values()}
 
     @property
@@ -86,21 +85,21 @@ class DaskExecutor:
         all_ours = self._limit is None or self._limit >= sum(self._hosts.values())
         return max(0, self.slots + all_ours * len(self._hosts) - len(self._flights))
 
-    def submit(self, task: Task) -> list[Report]:
+    def submit(self, task: ExecutorTask) -> list[ExecutorReport]:
         """Give a task to the worker with most free slots; it begins when its slot does."""
         held = Counter(flight.host for flight in self._flights.values())
         host = max(self._hosts, key=lambda name: self._hosts[name] - held[name])
         key = f"zenfi-{self._session}-{task.lease}"
-        runs = [(run, Order(spec=spec).model_dump_json()) for run, spec in task.runs]
+        runs = [(run, WorkerOrder(spec=spec).model_dump_json()) for run, spec in task.runs]
         with self._within_reach():
             future = self._client.submit(
-                dask_slot.fly,
+                dask_task.fly,
                 key,
                 runs,
                 self._identity,
                 key=key,
                 workers=[host],
-                resources={dask_slot.RESOURCE: 1},
+                resources={dask_task.RESOURCE: 1},
                 retries=0,
                 pure=False,
             )
@@ -113,9 +112,9 @@ class DaskExecutor:
             if flight.lease == lease:
                 self._forget(key)
 
-    def poll(self, timeout_s: float) -> list[Report]:
+    def poll(self, timeout_s: float) -> list[ExecutorReport]:
         """What slots have told since the last call, waiting for the first for ``timeout_s``."""
-        told: list[Report] = []
+        told: list[ExecutorReport] = []
         with contextlib.suppress(queue.Empty):
             message = self._inbox.get(timeout=timeout_s)
             while True:
@@ -139,8 +138,8 @@ class DaskExecutor:
         if self._session in event[1]:
             self._inbox.put(event[1])
 
-    def _told(self, line: str) -> list[Report]:
-        message = dask_slot.Message.model_validate_json(line)
+    def _told(self, line: str) -> list[ExecutorReport]:
+        message = dask_task.SlotMessage.model_validate_json(line)
         flight = self._flights.get(message.task)
         if flight is None:
             return []
@@ -154,8 +153,8 @@ class DaskExecutor:
                 self._losses.another()
                 return self._lost(message.task, message.text)
             case "begun":
-                return [Report(Started(flight.lease, message.run))]
-        answer = Answer.model_validate_json(message.text)
+                return [ExecutorReport(RunStarted(flight.lease, message.run))]
+        answer = WorkerAnswer.model_validate_json(message.text)
         if not answer.alive:
             self._losses.none()
             flight.todo.discard(message.run)
@@ -163,8 +162,8 @@ class DaskExecutor:
                 del self._flights[message.task]
         return reports(flight.lease, message.run, answer, self._lease_s)
 
-    def _lost(self, key: str, why: str) -> list[Report]:
-        return [Report(Lost(self._forget(key), why))]
+    def _lost(self, key: str, why: str) -> list[ExecutorReport]:
+        return [ExecutorReport(Lost(self._forget(key), why))]
 
     def _forget(self, key: str) -> str:
         flight = self._flights.pop(key)
@@ -174,14 +173,14 @@ class DaskExecutor:
 
     # -- the cluster -------------------------------------------------------------------------------
 
-    def _look(self) -> list[Report]:
+    def _look(self) -> list[ExecutorReport]:
         """Who has left; and that what waits for a slot of a living worker is not forgotten."""
         self._look_round()
         now = time.monotonic()
         if now > self._manned_s + self._lease_s:
-            message = f"no worker with the resource {dask_slot.RESOURCE} is left at {self._address}"
+            message = f"no worker with the resource {dask_task.RESOURCE} is left at {self._address}"
             raise InfrastructureError(message)
-        told: list[Report] = []
+        told: list[ExecutorReport] = []
         for _ in {flight.host for flight in self._flights.values()} - self._hosts.keys():
             self._losses.another()
         for key, flight in list(self._flights.items()):
@@ -190,10 +189,10 @@ class DaskExecutor:
             elif flight.future.status == "error":
                 told += self._failed(key, flight)
             elif not flight.execution:
-                told.append(Report(Alive(flight.lease, now + self._lease_s)))
+                told.append(ExecutorReport(Alive(flight.lease, now + self._lease_s)))
         return told
 
-    def _failed(self, key: str, flight: _Flight) -> list[Report]:
+    def _failed(self, key: str, flight: _Flight) -> list[ExecutorReport]:
         error = flight.future.exception(timeout=CONNECT_S)
         if isinstance(error, KilledWorker):
             return self._lost(key, "the worker died")
@@ -207,7 +206,7 @@ class DaskExecutor:
         now = self._looked_s = time.monotonic()
         self._hosts = {}
         for name, facts in workers.items():
-            slots = int(facts["resources"].get(dask_slot.RESOURCE, 0))
+            slots = int(facts["resources"].get(dask_task.RESOURCE, 0))
             seen, changed_s = self._heard.get(name, (0.0, now))
             if seen != facts["last_seen"]:
                 changed_s = now
@@ -220,16 +219,16 @@ class DaskExecutor:
     def _refuse_strangers(self) -> None:
         if not self._hosts:
             message = (
-                f"no worker at {self._address} has the resource {dask_slot.RESOURCE}: "
-                f"start them with dask worker {self._address} --resources {dask_slot.RESOURCE}=1"
+                f"no worker at {self._address} has the resource {dask_task.RESOURCE}: "
+                f"start them with dask worker {self._address} --resources {dask_task.RESOURCE}=1"
             )
             raise BadSpecError(message)
-        own = identity.own()
-        told = self._client.run(identity.told, workers=list(self._hosts), on_error="return")
+        own = installation.own()
+        told = self._client.run(installation.told, workers=list(self._hosts), on_error="return")
         for host, answer in told.items():
             if isinstance(answer, Exception):
                 raise BadSpecError(_stranger(host, f"{type(answer).__name__}: {answer}"))
-            difference = own.difference(identity.Identity.model_validate_json(answer))
+            difference = own.difference(installation.Installation.model_validate_json(answer))
             if difference:
                 raise BadSpecError(_stranger(host, difference))
 

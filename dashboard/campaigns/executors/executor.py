@@ -7,20 +7,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from dashboard.campaigns.events import Alive, Flown, Lost, NotFlown, Started
-from deploy.answer import Answer
-from deploy.present import Present
-from deploy.sight import Sight
-from deploy.supervisor import InfrastructureError
-from services.bus.mission import MissionSpec
-from services.bus.outcome import Outcome
+from dashboard.campaigns.events import Alive, Flown, Lost, NotFlown, RunStarted
+from deploy.errors import InfrastructureError
+from deploy.recording.flight_status import FlightStatus
+from deploy.recording.snapshot import FlightSnapshot
+from deploy.workers.protocol import WorkerAnswer
+from services.models.mission import MissionSpec
+from services.models.outcome import Outcome
 
 LOSSES_IN_A_ROW = 10
 """Workers lost without a flight in between, after which the fault is not the flights'."""
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class ExecutorTask:
     """Runs that one worker is to fly one after the other, by id."""
 
     lease: str
@@ -28,14 +28,14 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class ExecutorReport:
     """What a worker told, or what became of it; ``flight`` is how a run's flight
     stands, and what it sees if it was looked at.
     """
 
-    event: Started | Alive | Flown | NotFlown | Lost
+    event: RunStarted | Alive | Flown | NotFlown | Lost
     outcome: Outcome | None = None
-    flight: tuple[int, Present, Sight | None] | None = None
+    flight: tuple[int, FlightStatus, FlightSnapshot | None] | None = None
 
 
 class Executor(Protocol):
@@ -51,13 +51,13 @@ class Executor(Protocol):
 
     @property
     def leases(self) -> set[str]:
-        """What is being worked on."""
+        """The leases of the tasks that workers have now."""
 
     @property
     def idle(self) -> int:
-        """How many tasks it can take."""
+        """How many more tasks the executor can take now."""
 
-    def submit(self, task: Task) -> list[Report]:
+    def submit(self, task: ExecutorTask) -> list[ExecutorReport]:
         """Take a task; what it has begun at once.
 
         :raises InfrastructureError: if it cannot, and will not.
@@ -66,7 +66,7 @@ class Executor(Protocol):
     def drop(self, lease: str) -> None:
         """Stop what is flown under ``lease``; nothing is reported of it any more."""
 
-    def poll(self, timeout_s: float) -> list[Report]:
+    def poll(self, timeout_s: float) -> list[ExecutorReport]:
         """What happened since the last call, waiting for the first for ``timeout_s``.
 
         :raises InfrastructureError: if nothing more can be flown here.
@@ -77,13 +77,13 @@ class Executor(Protocol):
         """End everything that was started."""
 
 
-def reports(lease: str, run: int, answer: Answer, lease_s: float) -> list[Report]:
+def reports(lease: str, run: int, answer: WorkerAnswer, lease_s: float) -> list[ExecutorReport]:
     """What a worker's answer means."""
     flight = (run, answer.present, answer.sight) if answer.present is not None else None
-    alive = Report(Alive(lease, time.monotonic() + lease_s), flight=flight)
+    alive = ExecutorReport(Alive(lease, time.monotonic() + lease_s), flight=flight)
     if answer.outcome is not None:
-        return [alive, Report(Flown(lease, run), answer.outcome)]
-    return [alive, Report(NotFlown(lease, run, answer.error))] if answer.error else [alive]
+        return [alive, ExecutorReport(Flown(lease, run), answer.outcome)]
+    return [alive, ExecutorReport(NotFlown(lease, run, answer.error))] if answer.error else [alive]
 
 
 class Losses:
@@ -93,7 +93,7 @@ class Losses:
         self._count = 0
 
     def another(self) -> None:
-        """One more.
+        """Count one more worker that has died.
 
         :raises InfrastructureError: if that were too many.
         """
@@ -103,5 +103,5 @@ class Losses:
             raise InfrastructureError(message)
 
     def none(self) -> None:
-        """A flight in between."""
+        """Reset the count, as a flight has ended well."""
         self._count = 0

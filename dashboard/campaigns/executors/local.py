@@ -9,19 +9,18 @@ from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-from dashboard.campaigns.events import Lost, Started
-from dashboard.campaigns.executors.executor import Losses, Report, Task, reports
-from deploy.answer import Answer
-from deploy.crew import Worker, WorkerDiedError, start_worker
-from deploy.order import Order
-from services.bus.mission import MissionSpec
+from dashboard.campaigns.events import Lost, RunStarted
+from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask, Losses, reports
+from deploy.workers.client import WorkerClient, WorkerDiedError, start_worker
+from deploy.workers.protocol import WorkerAnswer, WorkerOrder
+from services.models.mission import MissionSpec
 
-Ordering = Callable[[int, MissionSpec], Order]
+Ordering = Callable[[int, MissionSpec], WorkerOrder]
 
 
-def unrecorded(_run: int, spec: MissionSpec) -> Order:
+def unrecorded(_run: int, spec: MissionSpec) -> WorkerOrder:
     """A run that nobody wants a recording of."""
-    return Order(spec=spec)
+    return WorkerOrder(spec=spec)
 
 
 class _Slot:
@@ -34,11 +33,11 @@ class _Slot:
         self.flying: int | None = None
         self.worker = self._start()
 
-    def _start(self) -> Worker:
+    def _start(self) -> WorkerClient:
         with contextlib.ExitStack() as stack:
             log = stack.enter_context(self._log.open("ab")) if self._log is not None else None
             file = log.fileno() if log is not None else None
-            return Worker(start_worker(self._cpu, file, watched=True))
+            return WorkerClient(start_worker(self._cpu, file, watched=True))
 
     def begin_next(self) -> int | None:
         """Send the next run; its id, None if there is none."""
@@ -85,7 +84,7 @@ class LocalExecutor:
 
     @property
     def leases(self) -> set[str]:
-        """What is being worked on."""
+        """The leases of the tasks that workers have now."""
         return {slot.lease for slot in self._crew if slot.lease}
 
     @property
@@ -93,7 +92,7 @@ class LocalExecutor:
         """Workers that wait for a task."""
         return sum(not slot.lease for slot in self._crew)
 
-    def submit(self, task: Task) -> list[Report]:
+    def submit(self, task: ExecutorTask) -> list[ExecutorReport]:
         """Give a task to an idle worker, which begins its first run."""
         slot = next(slot for slot in self._crew if not slot.lease)
         slot.lease, slot.todo = task.lease, deque(task.runs)
@@ -105,9 +104,9 @@ class LocalExecutor:
             if slot.lease == lease:
                 self._replace(slot)
 
-    def poll(self, timeout_s: float) -> list[Report]:
+    def poll(self, timeout_s: float) -> list[ExecutorReport]:
         """What workers have told since the last call, waiting for the first for ``timeout_s``."""
-        told: list[Report] = []
+        told: list[ExecutorReport] = []
         for key, _ in self._selector.select(timeout_s):
             slot: _Slot = key.data
             try:
@@ -116,16 +115,16 @@ class LocalExecutor:
                 told += self._lost(slot, str(error))
                 continue
             for line in lines:
-                told += self._told(slot, Answer.model_validate_json(line))
+                told += self._told(slot, WorkerAnswer.model_validate_json(line))
         return told
 
     def close(self) -> None:
-        """End every worker."""
+        """End every worker of this executor."""
         for slot in self._crew:
             slot.worker.end()
         self._selector.close()
 
-    def _told(self, slot: _Slot, answer: Answer) -> list[Report]:
+    def _told(self, slot: _Slot, answer: WorkerAnswer) -> list[ExecutorReport]:
         if slot.flying is None:
             return []
         told = reports(slot.lease, slot.flying, answer, self._lease_s)
@@ -134,15 +133,15 @@ class LocalExecutor:
         self._losses.none()
         return told + self._begun(slot)
 
-    def _begun(self, slot: _Slot) -> list[Report]:
+    def _begun(self, slot: _Slot) -> list[ExecutorReport]:
         lease, run = slot.lease, slot.begin_next()
-        return [Report(Started(lease, run))] if run is not None else []
+        return [ExecutorReport(RunStarted(lease, run))] if run is not None else []
 
-    def _lost(self, slot: _Slot, why: str) -> list[Report]:
+    def _lost(self, slot: _Slot, why: str) -> list[ExecutorReport]:
         lease = slot.lease
         self._replace(slot)
         self._losses.another()
-        return [Report(Lost(lease, why))] if lease else []
+        return [ExecutorReport(Lost(lease, why))] if lease else []
 
     def _replace(self, slot: _Slot) -> None:
         self._selector.unregister(slot.worker.output)

@@ -16,15 +16,14 @@ from pathlib import Path
 
 import submitit
 
-from dashboard.campaigns.events import Alive, Lost, Started
-from dashboard.campaigns.executors.executor import Losses, Report, Task, reports
+from dashboard.campaigns.events import Alive, Lost, RunStarted
+from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask, Losses, reports
 from dashboard.campaigns.executors.spec import SlurmSpec
-from deploy import identity
-from deploy.answer import Answer
-from deploy.check import BadSpecError
-from deploy.order import Order
-from deploy.shard import BEAT, OWNER, Beat, answer_file, fly_shard, write
-from deploy.supervisor import InfrastructureError
+from deploy.config.check import BadSpecError
+from deploy.errors import InfrastructureError
+from deploy.workers import installation
+from deploy.workers.protocol import WorkerAnswer, WorkerOrder
+from deploy.workers.slurm_shard import BEAT, OWNER, Beat, answer_file, fly_shard, write
 
 BEAT_S = 2.0
 LOOK_S = 0.25
@@ -118,7 +117,7 @@ class SlurmExecutor:
 
     @property
     def leases(self) -> set[str]:
-        """What is being worked on."""
+        """The leases of the tasks that workers have now."""
         return set(self._shards)
 
     @property
@@ -126,13 +125,13 @@ class SlurmExecutor:
         """Jobs that may yet be submitted."""
         return max(0, self.slots - len(self._shards))
 
-    def submit(self, task: Task) -> list[Report]:
+    def submit(self, task: ExecutorTask) -> list[ExecutorReport]:
         """Submit a job; it begins when SLURM has room for it."""
         folder = self._folder / f"shard-{task.lease}"
         folder.mkdir()
-        runs = [(run, Order(spec=spec).model_dump_json()) for run, spec in task.runs]
+        runs = [(run, WorkerOrder(spec=spec).model_dump_json()) for run, spec in task.runs]
         try:
-            job = self._batch.submit(fly_shard, str(folder), runs, identity.told(), self._lease_s)
+            job = self._batch.submit(fly_shard, str(folder), runs, installation.told(), self._lease_s)
         except (submitit.core.utils.FailedJobError, submitit.core.utils.FailedSubmissionError) as error:
             message = f"SLURM refuses a job: {str(error).splitlines()[0]}"
             raise InfrastructureError(message) from error
@@ -146,7 +145,7 @@ class SlurmExecutor:
             self._dropped = True
             shard.job.cancel(check=False)
 
-    def poll(self, timeout_s: float) -> list[Report]:
+    def poll(self, timeout_s: float) -> list[ExecutorReport]:
         """What jobs have written since the last call, waiting for the first for ``timeout_s``."""
         deadline = time.monotonic() + timeout_s
         while True:
@@ -173,12 +172,12 @@ class SlurmExecutor:
             self._count += 1
             write(self._folder / OWNER, Beat(count=self._count).model_dump_json())
 
-    def _look(self) -> list[Report]:
+    def _look(self) -> list[ExecutorReport]:
         ask = time.monotonic() >= self._asked_s + ASK_S
         if ask and self._shards:
             self._asked_s = time.monotonic()
             next(iter(self._shards.values())).job.get_info(mode="force")  # asks for all jobs at once
-        told: list[Report] = []
+        told: list[ExecutorReport] = []
         for lease, shard in list(self._shards.items()):
             # What became of the job is asked first: what it wrote before its end is taken in all the same.
             state = shard.job.state.split(" ")[0].upper()
@@ -186,26 +185,26 @@ class SlurmExecutor:
             if lease not in self._shards:
                 continue
             if shard.beat is None and state in WAITING:
-                told.append(Report(Alive(lease, time.monotonic() + self._lease_s)))
+                told.append(ExecutorReport(Alive(lease, time.monotonic() + self._lease_s)))
             elif state in ENDED:
                 told += self._lost(lease, f"the job ended: {state.lower()}")
         return told
 
-    def _read(self, lease: str, shard: _Shard) -> list[Report]:
+    def _read(self, lease: str, shard: _Shard) -> list[ExecutorReport]:
         """A shard's beat, and the answers that are there."""
-        told: list[Report] = []
+        told: list[ExecutorReport] = []
         beat = _beat_in(shard.folder)
         if beat is not None and beat != shard.beat:
             shard.beat = beat
             if beat.refused:
                 message = f"a job of SLURM flies another zenfi: {beat.refused}; install the same everywhere"
                 raise InfrastructureError(message)
-            told.append(Report(Alive(lease, time.monotonic() + self._lease_s)))
+            told.append(ExecutorReport(Alive(lease, time.monotonic() + self._lease_s)))
         for run in sorted(shard.todo):
             path = answer_file(shard.folder, run)
             if path.exists():
                 told += self._begun(lease, shard, run)
-                told += reports(lease, run, Answer.model_validate_json(path.read_text()), self._lease_s)
+                told += reports(lease, run, WorkerAnswer.model_validate_json(path.read_text()), self._lease_s)
                 self._losses.none()
                 shard.todo.discard(run)
                 path.unlink()
@@ -217,16 +216,16 @@ class SlurmExecutor:
             told += self._lost(lease, beat.died)
         return told
 
-    def _begun(self, lease: str, shard: _Shard, run: int) -> list[Report]:
+    def _begun(self, lease: str, shard: _Shard, run: int) -> list[ExecutorReport]:
         if run in shard.begun:
             return []
         shard.begun.add(run)
-        return [Report(Started(lease, run))]
+        return [ExecutorReport(RunStarted(lease, run))]
 
-    def _lost(self, lease: str, why: str) -> list[Report]:
+    def _lost(self, lease: str, why: str) -> list[ExecutorReport]:
         self.drop(lease)
         self._losses.another()
-        return [Report(Lost(lease, why))]
+        return [ExecutorReport(Lost(lease, why))]
 
 
 def _beat_in(folder: Path) -> Beat | None:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from services.bus.model import Strict
+from services.models.base import Strict
 
 
 class LocalSpec(Strict):

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from dashboard.campaigns.statistics.proportions import Interval
-from services.bus import rng
+from services.runtime import rng
 
 RESAMPLES = 2000
 

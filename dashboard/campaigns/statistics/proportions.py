@@ -22,7 +22,7 @@ class Interval(NamedTuple):
 
     @property
     def width(self) -> float:
-        """From one end to the other."""
+        """The distance between both ends."""
         return self.high - self.low
 
 
@@ -36,7 +36,7 @@ class Pairs(NamedTuple):
 
     @classmethod
     def of(cls, first: Sequence[bool], second: Sequence[bool]) -> Pairs:
-        """Of pairs in the same order."""
+        """Count the outcomes of pairs, given in the same order."""
         pairs = list(zip(first, second, strict=True))
         return cls(
             pairs.count((True, True)),
@@ -70,7 +70,10 @@ def wilson(successes: float, trials: float, level: float = 0.95) -> Interval:
 
 
 def clopper_pearson(successes: int, trials: int, level: float = 0.95) -> Interval:
-    """The exact interval, for a claim: it covers at least ``level`` whatever p is."""
+    """The exact (Clopper-Pearson) interval of a proportion, for a claim; planned for the studies.
+
+    It covers at least ``level`` whatever p is.
+    """
     if trials == 0:
         return EVERYTHING
     interval = binomtest(successes, trials).proportion_ci(level, method="exact")
@@ -98,7 +101,10 @@ def median_interval(values: Sequence[float], level: float = 0.95) -> Interval | 
 
 
 def newcombe(successes: tuple[int, int], trials: tuple[int, int], level: float = 0.95) -> Interval:
-    """Interval of p1 - p2 of independent samples (Newcombe 1998, Stat. Med. 17:873, method 10)."""
+    """Interval of p1 - p2 of independent samples; planned for the studies.
+
+    Newcombe 1998, Stat. Med. 17:873, method 10.
+    """
     if 0 in trials:
         return Interval(-1.0, 1.0)
     first, second = (wilson(x, n, level) for x, n in zip(successes, trials, strict=True))

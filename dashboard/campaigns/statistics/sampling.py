@@ -33,7 +33,10 @@ class Stratum(NamedTuple):
 
 
 def weighted_proportion(outcomes: Sequence[bool], weights: Sequence[float], level: float = 0.95) -> Estimate:
-    """Estimate sum(w y) / sum(w), interval by Wilson on Kish's n_eff = (sum w)^2 / sum(w^2)."""
+    """Estimate a proportion from weighted outcomes; planned for the studies.
+
+    The estimate is sum(w y) / sum(w), its interval Wilson's on Kish's n_eff = (sum w)^2 / sum(w^2).
+    """
     y, w = np.asarray(outcomes, dtype=float), np.asarray(weights, dtype=float)
     if len(y) != len(w) or (w < 0).any() or not np.isfinite(w).all():
         raise ValueError("weights: one for each outcome, none negative or infinite")
@@ -44,7 +47,9 @@ def weighted_proportion(outcomes: Sequence[bool], weights: Sequence[float], leve
 
 
 def stratified_proportion(strata: Sequence[Stratum], level: float = 0.95) -> Estimate:
-    """Estimate p = sum(W_h p_h), variance sum(W_h^2 p_h (1 - p_h) / n_h).
+    """Estimate a proportion from strata; planned for the studies.
+
+    p = sum(W_h p_h), with variance sum(W_h^2 p_h (1 - p_h) / n_h).
 
     The interval adds the squared distances of the strata's Wilson limits (Newcombe's way; Donner and
     Zou 2002): it stays honest where a stratum saw no event, at the price of being a little wide.
@@ -65,7 +70,10 @@ def stratified_proportion(strata: Sequence[Stratum], level: float = 0.95) -> Est
 
 
 def neyman_allocation(flights: int, weights: Sequence[float], deviations: Sequence[float]) -> list[int]:
-    """``flights`` over strata as W_h sigma_h, one each at least; largest remainders settle the rounding."""
+    """Allocate ``flights`` to strata in proportion to W_h sigma_h (Neyman); planned for the studies.
+
+    Each stratum gets one at least; largest remainders settle the rounding.
+    """
     products = np.asarray(weights, dtype=float) * np.asarray(deviations, dtype=float)
     if flights < len(products) or (products < 0).any() or products.sum() == 0:
         raise ValueError("allocation: at least a flight per stratum, and a stratum that varies")
@@ -81,7 +89,9 @@ def neyman_allocation(flights: int, weights: Sequence[float], deviations: Sequen
 
 
 def sample_size(margin: float, population: float = float("inf"), p: float = 0.5) -> int:
-    """Injections needed to know a proportion to +- ``margin`` at 95 % (Leveugle et al. 2009).
+    """Injections needed to know a proportion to +- ``margin`` at 95 %; planned for the studies.
+
+    Leveugle et al. 2009:
 
     n = N / (1 + e^2 (N - 1) / (t^2 p (1 - p))), rounded as in the published tables.
     """

@@ -7,10 +7,10 @@ import httpx
 from fastapi import FastAPI
 
 from dashboard.api.app import make_app
-from dashboard.api.conductor import Conductor
-from dashboard.api.hub import Hub
+from dashboard.api.processes.campaign_runner import CampaignRunner
+from dashboard.api.processes.event_bus import EventBus
 from dashboard.api.service import Service
-from dashboard.campaigns.store import Store
+from dashboard.campaigns.store.store import Store
 
 HERE = "http://localhost:8300"
 CAMPAIGNS = "/api/v1/campaigns"
@@ -18,9 +18,9 @@ CAMPAIGNS = "/api/v1/campaigns"
 
 def make(store: Store, token: str = "", *, loopback: bool = True) -> FastAPI:
     """Campaigns wait; streams end when they have told what there is."""
-    hub = Hub()
-    hub.close()
-    return make_app(Service(store, hub, Conductor(store, hub, 1)), token, loopback=loopback)
+    event_bus = EventBus()
+    event_bus.close()
+    return make_app(Service(store, event_bus, CampaignRunner(store, event_bus, 1)), token, loopback=loopback)
 
 
 def ask(app: FastAPI, path: str, method: str = "GET", base: str = HERE, **request: Any) -> httpx.Response:

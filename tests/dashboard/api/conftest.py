@@ -42,7 +42,16 @@ def serving(folder: Path, *arguments: str, store: str = "", port: int = 0) -> It
             port = free.getsockname()[1]
     folder.mkdir(parents=True, exist_ok=True)
     said = folder / "service.log"
-    command = [sys.executable, "-m", "dashboard.api", "--store", store or str(folder), "--port", str(port)]
+    command = [
+        sys.executable,
+        "-m",
+        "dashboard",
+        "serve",
+        "--store",
+        store or str(folder),
+        "--port",
+        str(port),
+    ]
     with said.open("ab") as log:
         process = subprocess.Popen([*command, *arguments], stdout=log, stderr=log, env=dict(os.environ))
     one = Serving(process, f"http://127.0.0.1:{port}", said)

@@ -16,10 +16,10 @@ from schemathesis.checks import load_all_checks
 from schemathesis.core.errors import InvalidSchema
 
 from dashboard.campaigns.spec import Arm, CampaignSpec
-from dashboard.campaigns.store import Store
-from services.bus.mission import FaultSpec
+from dashboard.campaigns.store.store import Store
+from services.models.mission import FaultSpec
 from tests.dashboard.api.asking import CAMPAIGNS, ask, make
-from tests.dashboard.campaigns.test_store import flown
+from tests.dashboard.campaigns.store.test_store import flown
 
 SPEC = CampaignSpec(name="known", runs=2, arms=(Arm(name="a"), Arm(name="b", fault=FaultSpec(target="pid"))))
 KEPT = (

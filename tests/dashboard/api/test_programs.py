@@ -10,10 +10,10 @@ import pytest
 from fastapi import FastAPI
 
 from dashboard.campaigns.spec import Arm, CampaignSpec
-from dashboard.campaigns.store import Store
-from dashboard.client import Client, RefusedError
-from services.bus.mission import Limits, MissionSpec
-from services.bus.own_stack import OwnStack
+from dashboard.campaigns.store.store import Store
+from dashboard.client import Client, RequestRefusedError
+from services.models.mission import Limits, MissionSpec
+from services.models.own_stack import OwnStack
 from tests.dashboard.api.asking import CAMPAIGNS, ask, make
 from tests.dashboard.api.conftest import serving
 from tests.dashboard.command import refusal
@@ -100,9 +100,9 @@ def test_what_the_owner_has_named_is_flown_and_nothing_else(tmp_path: Path) -> N
     mission = MissionSpec(stack=stack, limits=Limits(mission_time_s=0.6))
     served = serving(tmp_path / "store", "--allow-stack", str(tmp_path / "stack.toml"))
     with served as one, Client(one.address) as client:
-        flight = client.fly(mission).campaign.campaign
+        flight = client.flights.create(mission).campaign.campaign
         assert list(client.watch(flight))[-1].data.phase == "done"
-        assert client.outcome(flight, client.flight(flight).run.id).nodes["control"].steps > 0
+        assert client.runs.outcome(flight, client.flights.get(flight).run.id).nodes["control"].steps > 0
 
         own = stack.stages["control"]
         for change in (
@@ -112,13 +112,13 @@ def test_what_the_owner_has_named_is_flown_and_nothing_else(tmp_path: Path) -> N
             {"sha256": "0" * 64},
         ):
             other = OwnStack(name="x", stages={"control": own.model_copy(update=change)})
-            with pytest.raises(RefusedError, match=REMEDY) as refused:
-                client.fly(mission.model_copy(update={"stack": other}))
+            with pytest.raises(RequestRefusedError, match=REMEDY) as refused:
+                client.flights.create(mission.model_copy(update={"stack": other}))
             assert refused.value.problem.status == 403
 
         (tmp_path / "script.py").write_text("print('something else')")
-        with pytest.raises(RefusedError, match="is not what it was") as changed:
-            client.fly(mission.model_copy(update={"seed": 1}))
+        with pytest.raises(RequestRefusedError, match="is not what it was") as changed:
+            client.flights.create(mission.model_copy(update={"seed": 1}))
         assert changed.value.problem.status == 422
     assert not canary.exists()
 

@@ -2,20 +2,22 @@
 
 import asyncio
 import stat
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
+from types import MappingProxyType
 
 import pytest
 from click.testing import CliRunner
 from fastapi import FastAPI
 from starlette.types import Message
 
+from dashboard.api.app import MOST_BODY_BYTES
 from dashboard.api.security import new_token, token_hash
-from dashboard.api.server import serve
-from dashboard.campaigns.store import Store
+from dashboard.campaigns.store.store import Store
 from dashboard.cli import zenfi
-from deploy.check import BadSpecError
+from dashboard.server import serve
+from deploy.config.check import BadSpecError
 from tests.dashboard.api.asking import CAMPAIGNS, HERE, ask, make
 
 
@@ -25,10 +27,13 @@ def store(tmp_path: Path) -> Iterator[Store]:
         yield opened
 
 
-def open_websocket(app: FastAPI, origin: str) -> list[Message]:
+def open_websocket(
+    app: FastAPI, origin: str, more: Mapping[str, str] = MappingProxyType({})
+) -> list[Message]:
     """What the service sends to a page of ``origin`` that opens a WebSocket."""
     sent: list[Message] = []
     headers = [(b"host", b"localhost:8300"), (b"origin", origin.encode())]
+    headers += [(name.encode(), value.encode()) for name, value in more.items()]
     scope = {
         "type": "websocket",
         "path": "/api/v1/ws",
@@ -95,6 +100,58 @@ def test_a_token_is_told_once_and_kept_as_a_hash_for_its_owner_alone(tmp_path: P
         token_hash(tmp_path)
 
 
+@pytest.mark.process
 def test_without_a_token_nothing_listens_beyond_this_machine(tmp_path: Path) -> None:
     with pytest.raises(BadSpecError, match="zenfi token new"):
         serve(str(tmp_path), "0.0.0.0", 1, None)  # noqa: S104 - it must not
+
+
+def test_beyond_this_machine_a_websocket_must_bear_the_token(store: Store) -> None:
+    token = new_token(store.folder)
+    app = make(store, token_hash(store.folder), loopback=False)
+    for headers in ({}, {"authorization": f"Bearer {token}x"}, {"cookie": "zenfi_token=x"}):
+        assert [one["type"] for one in open_websocket(app, HERE, headers)] == ["websocket.close"]
+    for headers in ({"authorization": f"Bearer {token}"}, {"cookie": f"zenfi_token={token}"}):
+        assert open_websocket(app, HERE, headers)[0]["type"] == "websocket.accept"
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o620, 0o610, 0o604, 0o602, 0o601])
+def test_a_token_file_that_anybody_else_may_use_is_refused(tmp_path: Path, mode: int) -> None:
+    new_token(tmp_path)
+    (tmp_path / "token.sha256").chmod(mode)
+    with pytest.raises(BadSpecError, match="others may read"):
+        token_hash(tmp_path)
+
+
+def test_a_body_that_is_too_large_is_refused_whatever_it_says_of_its_length(store: Store) -> None:
+    app = make(store)
+    large = b"[" * (MOST_BODY_BYTES + 1)
+
+    async def without_a_length() -> AsyncIterator[bytes]:
+        for first in range(0, len(large), 100_000):
+            yield large[first : first + 100_000]
+
+    for content in (large, without_a_length()):
+        answer = ask(app, CAMPAIGNS, "POST", content=content, headers={"Content-Type": "application/json"})
+        assert answer.status_code == 413
+        assert str(MOST_BODY_BYTES) in answer.json()["detail"]
+
+
+def test_a_body_that_says_that_it_is_too_large_is_not_read(store: Store) -> None:
+    app, sent = make(store), list[Message]()
+
+    async def receive() -> Message:
+        raise AssertionError("the body was read")
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    length = str(MOST_BODY_BYTES + 1).encode()
+    headers = [
+        (b"host", b"localhost:8300"),
+        (b"content-length", length),
+        (b"content-type", b"application/json"),
+    ]
+    scope = {"type": "http", "method": "POST", "path": CAMPAIGNS, "query_string": b"", "headers": headers}
+    asyncio.run(app({**scope, "scheme": "http", "http_version": "1.1"}, receive, send))
+    assert sent[0]["status"] == 413

@@ -7,13 +7,15 @@ import signal
 import sqlite3
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
-from dashboard.campaigns.records import Record
-from dashboard.campaigns.store import Store
-from deploy.mould import SIDE_SERVER
+import pytest
+
+from dashboard.campaigns.flight_record import FlightRecord
+from dashboard.campaigns.store.store import Store
+from deploy.mission.zygote import SIDE_SERVER
 from tests.conftest import alive, descendants, folders, wait_until
 from tests.dashboard.command import ZENFI
 from tests.fixtures.postgresql import Server
@@ -41,7 +43,7 @@ def zenfi(store: Path | str, *arguments: str) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
 
 
-def records(store: Path) -> list[Record]:
+def records(store: Path) -> list[FlightRecord]:
     with closing(Store(store)) as opened:
         return list(opened.records(opened.find("1")))
 
@@ -65,7 +67,7 @@ def workers(scheduler: int) -> list[int]:
             line = Path(f"/proc/{pid}/cmdline").read_bytes()
         except (FileNotFoundError, ProcessLookupError):
             continue
-        if b"deploy.worker" in line:
+        if b"deploy.workers.worker" in line:
             found.append(pid)
     return found
 
@@ -103,19 +105,25 @@ def until(store: Path, results: int, command: "subprocess.Popen[bytes]") -> None
         time.sleep(0.1)
 
 
-def test_kills_change_nothing_but_the_time_it_takes(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("runs", "worker_at", "command_at", "resumed_at"),
+    [(12, 2, 4, (6,)), pytest.param(RUNS, 3, 6, (10, 14), marks=pytest.mark.soak)],
+)
+def test_kills_change_nothing_but_the_time_it_takes(
+    tmp_path: Path, runs: int, worker_at: int, command_at: int, resumed_at: tuple[int, ...]
+) -> None:
     calm, hard = tmp_path / "calm", tmp_path / "hard"
-    with zenfi(calm, "run", spec(tmp_path)) as command:
+    with zenfi(calm, "run", spec(tmp_path, runs // 4)) as command:
         assert command.wait(PATIENCE_S) == 0
 
-    with zenfi(hard, "run", spec(tmp_path)) as command:
-        until(hard, 3, command)
+    with zenfi(hard, "run", spec(tmp_path, runs // 4)) as command:
+        until(hard, worker_at, command)
         kill(workers(command.pid)[0])
-        until(hard, 6, command)
+        until(hard, command_at, command)
         family = descendants(command.pid)
         kill(command.pid)
     wait_until(lambda: not any(map(alive, family)))
-    for target in (10, 14):
+    for target in resumed_at:
         before = done(hard)
         with zenfi(hard, "resume", "hard-1") as command:
             until(hard, target, command)
@@ -128,18 +136,26 @@ def test_kills_change_nothing_but_the_time_it_takes(tmp_path: Path) -> None:
         assert command.wait(PATIENCE_S) == 0
 
     ours, theirs = records(hard), records(calm)
-    assert [record.phase for record in ours] == ["done"] * RUNS
+    assert [record.phase for record in ours] == ["done"] * runs
     assert [told(record) for record in ours] == [told(record) for record in theirs]
 
 
-def test_a_lost_fork_server_costs_no_run(tmp_path: Path) -> None:
+LOSSES = ((2, fork_servers), (5, side_servers), (8, fork_servers), (11, side_servers))
+
+
+@pytest.mark.parametrize(
+    ("runs", "losses"), [(12, LOSSES[:2]), pytest.param(RUNS, LOSSES, marks=pytest.mark.soak)], ids=[12, RUNS]
+)
+def test_a_lost_fork_server_costs_no_run(
+    tmp_path: Path, runs: int, losses: Sequence[tuple[int, Callable[[int], list[int]]]]
+) -> None:
     calm, hard = tmp_path / "calm", tmp_path / "hard"
-    with zenfi(calm, "run", spec(tmp_path)) as command:
+    with zenfi(calm, "run", spec(tmp_path, runs // 4)) as command:
         assert command.wait(PATIENCE_S) == 0
 
     family: dict[int, str] = {}
-    with zenfi(hard, "run", spec(tmp_path)) as command:
-        for results, servers in ((2, fork_servers), (5, side_servers), (8, fork_servers), (11, side_servers)):
+    with zenfi(hard, "run", spec(tmp_path, runs // 4)) as command:
+        for results, servers in losses:
             until(hard, results, command)
             family |= descendants(command.pid)
             kill_one_of(servers, command.pid)
@@ -147,13 +163,13 @@ def test_a_lost_fork_server_costs_no_run(tmp_path: Path) -> None:
         assert command.returncode == 0, said
 
     ours, theirs = records(hard), records(calm)
-    assert [(record.phase, record.error) for record in ours] == [("done", "")] * RUNS
+    assert [(record.phase, record.error) for record in ours] == [("done", "")] * runs
     assert [told(record) for record in ours] == [told(record) for record in theirs]
     wait_until(lambda: not any(map(alive, family)))
     assert not [folder for pid in family for folder in folders(pid)]
 
 
-def told(record: Record) -> tuple[object, ...]:
+def told(record: FlightRecord) -> tuple[object, ...]:
     """What must not depend on who flew a run, and when. A fault's instant is drawn in thread time."""
     result = record.result
     assert result is not None
@@ -213,7 +229,7 @@ def test_on_postgresql_a_campaign_is_killed_and_paused_and_goes_on(
         assert store.find("1").phase == "paused"
         with zenfi(where, "resume") as command:
             wait_until(lambda: flown() > left, PATIENCE_S)
-            store.wish(store.find("1"), "pause")
+            store.set_desired_state(store.find("1"), "pause")
             assert command.wait(PATIENCE_S) == 1
         assert (store.find("1").phase, store.find("1").reason) == ("paused", "paused")
         with zenfi(where, "resume") as command:

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from dashboard import tables
+from dashboard.analysis import tables
 from dashboard.campaigns.forecast import forecast
 from dashboard.campaigns.presets import presets, scaled
 from dashboard.campaigns.spec import CampaignSpec, cells, load_campaign, runs
-from dashboard.campaigns.store import Store
-from deploy.check import BadSpecError
-from deploy.forkserver import ForkServer
-from deploy.pairing import Pairs
+from dashboard.campaigns.store.store import Store
+from deploy.config.check import BadSpecError
+from deploy.mission.fork_server import ForkServer
+from deploy.mission.golden_twin import PairFlyer
 from tests.dashboard.command import zenfi
 
 PAPER = {"fig7": 8, "fig8": 9, "fig9": 4, "table3": 4, "table4": 48, "fig14": 33, "fig16": 54}
@@ -98,6 +98,6 @@ def test_a_preset_is_flown_by_its_name(home: Path) -> None:
 def test_a_preset_with_detectors_can_be_flown(server: ForkServer) -> None:
     cell = ("gaussian all", "factory", "control")
     run = next(run for run in runs(load_campaign("fig14")) if run.cell == cell)
-    outcome = Pairs(server).fly(run.spec)
+    outcome = PairFlyer(server).fly(run.spec)
     assert outcome.golden is not None
     assert outcome.injection is not None

@@ -9,15 +9,16 @@ from pathlib import Path
 
 import pytest
 
+from dashboard.campaigns.events import Flown, Lost, RunStarted
 from dashboard.campaigns.executors import local
-from dashboard.campaigns.executors.executor import Report, Task
+from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask
 from dashboard.campaigns.executors.local import LocalExecutor
 from dashboard.campaigns.scheduler import Finished, Scheduler
-from dashboard.campaigns.spec import Arm, CampaignSpec, Run, Stop, cells, runs
-from dashboard.campaigns.states import CampaignStates, RunState
+from dashboard.campaigns.spec import Arm, CampaignSpec, Run, StoppingSpec, cells, runs
+from dashboard.campaigns.state_machine import CampaignStates, RunState
 from dashboard.campaigns.stopping import StoppingRule
-from services.bus.mission import FaultSpec, MissionSpec
-from services.bus.outcome import NO_FLIGHT, Outcome
+from services.models.mission import FaultSpec, MissionSpec
+from services.models.outcome import NO_FLIGHT, Outcome
 
 
 def answering(script: str) -> Callable[..., subprocess.Popen[bytes]]:
@@ -29,19 +30,23 @@ def answering(script: str) -> Callable[..., subprocess.Popen[bytes]]:
     return start
 
 
-def arrival(success: bool) -> str:
-    """A worker whose flights all end alike."""
-    outcome = Outcome(
-        spec=MissionSpec(),
-        result="success" if success else "timeout",
-        qof=NO_FLIGHT.model_copy(update={"success": success}),
-        digest="",
-        wall_s=0.0,
-        nodes={},
-        topics={},
-    )
-    line = f'{{"outcome": {outcome.model_dump_json(by_alias=True)}}}'
-    return f"import sys\nfor line in sys.stdin: print({line!r}, flush=True)"
+def arrival(*successes: bool) -> str:
+    """A worker whose flights end in turn as told, over and over."""
+    outcomes = [
+        Outcome(
+            spec=MissionSpec(),
+            result="success" if success else "timeout",
+            qof=NO_FLIGHT.model_copy(update={"success": success}),
+            digest="",
+            wall_s=0.0,
+            nodes={},
+            topics={},
+        )
+        for success in successes
+    ]
+    lines = [f'{{"outcome": {outcome.model_dump_json(by_alias=True)}}}' for outcome in outcomes]
+    turn = f"{lines!r}[number % {len(lines)}]"
+    return f"import sys\nfor number, _ in enumerate(sys.stdin): print({turn}, flush=True)"
 
 
 def fly(campaign: CampaignSpec, lease_s: float = 60.0, slots: int = 2) -> tuple[Scheduler, list[Finished]]:
@@ -80,14 +85,21 @@ def test_a_worker_not_heard_of_loses_its_runs_to_another(
 
 def test_a_campaign_stops_at_the_first_look_that_tells_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(local, "start_worker", answering(arrival(True)))
-    stop = Stop(margin=0.1, looks=(10, 30))
+    stop = StoppingSpec(margin=0.1, looks=(10, 30))
     scheduler, finished = fly(CampaignSpec(name="x", runs=60, arms=(Arm(name="a"),), stop=stop))
     assert len(finished) == 30
     assert scheduler.states.phase == "done"
     assert scheduler.states.count("cancelled") == 30
 
 
-def rule_after(stop: Stop | None, successes: Mapping[str, Sequence[int]], runs_: int) -> StoppingRule:
+def test_failed_missions_keep_a_campaign_flying(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local, "start_worker", answering(arrival(True, False)))
+    stop = StoppingSpec(margin=0.1, looks=(10, 30))
+    _, finished = fly(CampaignSpec(name="x", runs=60, arms=(Arm(name="a"),), stop=stop), slots=1)
+    assert len(finished) == 60
+
+
+def rule_after(stop: StoppingSpec | None, successes: Mapping[str, Sequence[int]], runs_: int) -> StoppingRule:
     campaign = CampaignSpec(name="x", runs=runs_, arms=tuple(Arm(name=name) for name in successes))
     named = {cell.arm: cell for cell in cells(campaign)}
     rule = StoppingRule(stop, [cell for cell in cells(campaign) for _ in range(runs_)], runs_)
@@ -98,7 +110,7 @@ def rule_after(stop: Stop | None, successes: Mapping[str, Sequence[int]], runs_:
 
 
 def test_one_wide_cell_keeps_all_flying() -> None:
-    stop = Stop(margin=0.1, looks=(50,))
+    stop = StoppingSpec(margin=0.1, looks=(50,))
     assert rule_after(stop, {"a": [1] * 50, "b": [1] * 50}, 200).look()
     doubtful = rule_after(stop, {"a": [1] * 50, "b": [0, 1] * 25}, 200)
     assert not doubtful.look()
@@ -109,24 +121,24 @@ def test_one_wide_cell_keeps_all_flying() -> None:
 def test_looks_share_the_error() -> None:
     # 93 of 100: +- 5.2 % at 95 %, +- 6.6 % at 98.3 % (three looks)
     flights = [1] * 93 + [0] * 7
-    assert rule_after(Stop(margin=0.054, looks=(100,)), {"a": flights}, 200).look() is False
-    assert rule_after(Stop(margin=0.07, looks=(100, 150)), {"a": flights}, 200).look() is True
-    assert rule_after(Stop(margin=0.058, looks=(100, 150)), {"a": flights}, 200).look() is False
+    assert rule_after(StoppingSpec(margin=0.054, looks=(100,)), {"a": flights}, 200).look() is False
+    assert rule_after(StoppingSpec(margin=0.07, looks=(100, 150)), {"a": flights}, 200).look() is True
+    assert rule_after(StoppingSpec(margin=0.058, looks=(100, 150)), {"a": flights}, 200).look() is False
 
 
 def test_flights_beyond_a_look_do_not_sway_it() -> None:
     # Resumed after the first look was not enough: the flights since then are not yet looked at.
-    rule = rule_after(Stop(margin=0.1, looks=(20, 200)), {"a": [0, 1] * 10 + [1] * 100}, 400)
+    rule = rule_after(StoppingSpec(margin=0.1, looks=(20, 200)), {"a": [0, 1] * 10 + [1] * 100}, 400)
     assert rule.released == 20
     assert not rule.look()
     assert rule.released == 200
 
 
 def test_runs_of_one_twin_go_to_one_worker_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    tasks: list[Task] = []
+    tasks: list[ExecutorTask] = []
     submit = LocalExecutor.submit
 
-    def seen(executor: LocalExecutor, task: Task) -> list[Report]:
+    def seen(executor: LocalExecutor, task: ExecutorTask) -> list[ExecutorReport]:
         tasks.append(task)
         return submit(executor, task)
 
@@ -166,3 +178,64 @@ def test_what_cannot_be_written_is_not_counted(monkeypatch: pytest.MonkeyPatch) 
         with pytest.raises(OSError, match="full"):
             finished.extend(scheduler.fly())
     assert finished == []
+
+
+class TwoFaced:
+    """It tells of the first lease that its worker is lost, and then that this has flown the run."""
+
+    slots = fill = 1
+
+    def __init__(self) -> None:
+        self.leases: set[str] = set()
+        self.told: list[list[ExecutorReport]] = []
+
+    @property
+    def idle(self) -> int:
+        return 1 - len(self.leases)
+
+    def submit(self, task: ExecutorTask) -> list[ExecutorReport]:
+        (run, spec), lease = task.runs[0], task.lease
+        first = not self.told
+        flown = ExecutorReport(Flown(lease, run), ended(spec, success=not first))
+        self.told.append([ExecutorReport(Lost(lease, "gone")), flown] if first else [flown])
+        self.leases = {lease}
+        return [ExecutorReport(RunStarted(lease, run))]
+
+    def poll(self, timeout_s: float) -> list[ExecutorReport]:
+        assert timeout_s > 0.0
+        self.leases = set()
+        return self.told[-1]
+
+    def drop(self, lease: str) -> None:
+        raise AssertionError(lease)
+
+    def close(self) -> None:
+        pass
+
+
+def ended(spec: MissionSpec, *, success: bool) -> Outcome:
+    return Outcome(
+        spec=spec,
+        result="success" if success else "timeout",
+        qof=NO_FLIGHT.model_copy(update={"success": success}),
+        digest="",
+        wall_s=0.0,
+        nodes={},
+        topics={},
+    )
+
+
+def test_what_is_told_of_a_lost_lease_is_not_written() -> None:
+    planned = dict(enumerate(runs(CampaignSpec(name="x", runs=1, arms=(Arm(name="a"),)))))
+    states = CampaignStates({run: RunState() for run in planned}, 5)
+    written: list[tuple[str, list[str]]] = []
+
+    def write(states_: CampaignStates, changed: Iterable[int], outcomes: Mapping[int, Outcome]) -> None:
+        assert set(outcomes) <= set(changed)
+        written.append((states_.runs[0].phase, [one.result for one in outcomes.values()]))
+
+    rule = StoppingRule(None, (run.cell for run in planned.values()), 1)
+    finished = list(Scheduler(states, planned, TwoFaced(), rule, 60.0, write).fly())
+    assert [one.outcome.result for one in finished if one.outcome is not None] == ["success"]
+    assert [(phase, results) for phase, results in written if results] == [("done", ["success"])]
+    assert (states.stale, states.runs[0].attempts) == (1, 2)

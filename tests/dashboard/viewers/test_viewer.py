@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from dashboard.records import Recording, open_run
+from dashboard.analysis.recordings_reader import FlightRecording, open_run
 from dashboard.viewers import blueprint
 from dashboard.viewers.viewer import VIEWERS
-from deploy import display
+from deploy.recording import visualization
 from tests.dashboard.recorded import flights
 
 __all__ = ["flights"]
@@ -24,7 +24,7 @@ LAYOUTS = files("dashboard.viewers")
 
 
 @pytest.fixture(scope="module")
-def recording(flights: dict[str, Path]) -> Recording:
+def recording(flights: dict[str, Path]) -> FlightRecording:
     return open_run(flights["faulty"])
 
 
@@ -86,7 +86,7 @@ def test_rerun_is_given_the_flight_and_the_blueprint(flights: dict[str, Path], t
     assert not Path(last[0]).exists()  # what was made for the viewer is gone with it
 
 
-def test_the_layouts_name_what_is_in_a_recording(recording: Recording) -> None:
+def test_the_layouts_name_what_is_in_a_recording(recording: FlightRecording) -> None:
     curves = ET.fromstring((LAYOUTS / "plotjuggler.xml").read_text()).iter("curve")  # noqa: S314
     names = [curve.attrib["name"] for curve in curves]
     layout = (LAYOUTS / "foxglove.json").read_text()
@@ -101,4 +101,4 @@ def test_the_layouts_name_what_is_in_a_recording(recording: Recording) -> None:
     shown |= {*blueprint.DRAWN, *blueprint.PLOTTED}
     assert shown <= set(recording.messages)
     assert {"obstacles", "vehicle", "planned_path", "cloud", "depth"} <= shown
-    assert set(display.TYPES) <= set(recording.messages)
+    assert set(visualization.TYPES) <= set(recording.messages)

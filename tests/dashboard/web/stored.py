@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from contextlib import closing
 
-from dashboard.campaigns.events import Begin, Flown, Leased, Started
+from dashboard.campaigns.events import Begin, Flown, Leased, RunStarted
 from dashboard.campaigns.spec import CampaignSpec, Run
-from dashboard.campaigns.store import Store
-from services.bus.outcome import GoldenTwin, InjectionRecord, NodeReport, Outcome, QoF
+from dashboard.campaigns.store.store import Store
+from services.models.outcome import GoldenTwin, InjectionRecord, NodeReport, Outcome, QoF
 from tests.dashboard.api.conftest import Serving
 
 TWIN_S = 20.0
@@ -70,7 +70,7 @@ def stored(service: Serving, spec: CampaignSpec, of: Callable[[Run], Outcome] = 
         states.handle(Begin())
         states.handle(Leased("once", tuple(planned), 9.0))
         for run in planned:
-            states.handle(Started("once", run))
+            states.handle(RunStarted("once", run))
             states.handle(Flown("once", run))
         store.write(found, states, list(planned), {number: of(run) for number, run in planned.items()})
         return found.label

@@ -8,12 +8,11 @@ from typing import Any
 
 import pytest
 
-from deploy.compose.control import Request, ask
-from deploy.compose.family import clear_marked
+from deploy.compose.control import ControlRequest, ProcessView, StackView, ask
+from deploy.compose.daemon import StackStarted, start
 from deploy.compose.folder import stack_folder
+from deploy.compose.process_tree import clear_marked
 from deploy.compose.stack_file import Stack
-from deploy.compose.start import Started, start
-from deploy.compose.view import ProcessView, StackView
 from tests.conftest import PATIENCE_S, wait_until
 
 PROCESSES = Path(__file__).parents[2] / "fixtures" / "processes"
@@ -33,7 +32,7 @@ class Laboratory:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.started: list[Started] = []
+        self.started: list[StackStarted] = []
 
     def stack(self, processes: Mapping[str, Any], name: str = "test", **more: Any) -> Stack:
         given = {one: {"backoff": QUICKLY, "folder": "/", **fields} for one, fields in processes.items()}
@@ -47,7 +46,9 @@ class Laboratory:
         return started.view
 
     def ask(self, do: str, *names: str, stack: Stack | None = None) -> StackView:
-        return ask(stack_folder("test"), Request.model_validate({"do": do, "names": names, "stack": stack}))
+        return ask(
+            stack_folder("test"), ControlRequest.model_validate({"do": do, "names": names, "stack": stack})
+        )
 
     def one(self, name: str) -> ProcessView:
         return next(one for one in self.ask("tell").processes if one.name == name)

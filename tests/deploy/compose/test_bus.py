@@ -10,8 +10,8 @@ import pytest
 import zenoh
 
 from deploy.compose.bus import STATE, all_stacks, changes_key
-from deploy.compose.view import ProcessView, StackView
-from services.bus.session import Meeting, open_session
+from deploy.compose.control import ProcessView, StackView
+from services.bus.session import BusAddress, open_session
 from tests.conftest import PATIENCE_S, wait_until
 from tests.deploy.compose.conftest import SLEEP, Laboratory
 
@@ -21,7 +21,7 @@ OPENSSL = shutil.which("openssl") or ""
 def test_state_is_queried_and_changes_are_published(laboratory: Laboratory) -> None:
     view = laboratory.up({"x": {"command": SLEEP}})
     laboratory.phase("x", "ready")
-    with open_session(Meeting(view.folder, view.namespace), "looker") as session:
+    with open_session(BusAddress(view.folder, view.namespace), "looker") as session:
         replies = [reply.ok for reply in session.get(STATE, timeout=PATIENCE_S) if reply.ok is not None]
         told = StackView.model_validate_json(replies[0].payload.to_bytes())
         assert [(one.name, one.phase) for one in told.processes] == [("x", "ready")]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.compose.control import NotUpError, RefusedError
+from deploy.compose.control import ControlRefusedError, NotUpError
 from tests.conftest import PATIENCE_S, alive, descendants, wait_until
 from tests.deploy.compose.conftest import PROCESSES, QUICKLY, SLEEP, Laboratory, fixture
 
@@ -126,7 +126,7 @@ def test_after_kill_9_of_the_supervisor_nothing_is_left(laboratory: Laboratory) 
     laboratory.until("x", lambda one: one.processes == 4)
     laboratory.until("y", lambda one: one.processes == 1)
     family = set(descendants(laboratory.started[0].process.pid))
-    assert len(family) == 7  # two keepers, x with three others, y
+    assert len(family) == 7  # two reapers, x with three others, y
     laboratory.started[0].process.kill()
     laboratory.started[0].process.wait()
     view = laboratory.up(first)
@@ -135,18 +135,18 @@ def test_after_kill_9_of_the_supervisor_nothing_is_left(laboratory: Laboratory) 
     laboratory.until("x", lambda one: one.processes == 4)
 
 
-def test_what_outlives_supervisor_and_keeper_is_cleared_by_the_next_start(laboratory: Laboratory) -> None:
+def test_what_outlives_supervisor_and_reaper_is_cleared_by_the_next_start(laboratory: Laboratory) -> None:
     orphan = "import os, time\nif os.fork() == 0: os.setsid()\ntime.sleep(1000)"
     laboratory.up({"x": {"command": [sys.executable, "-c", orphan]}})
     laboratory.until("x", lambda one: one.processes == 2)
     supervisor = laboratory.started[0].process
-    keeper = next(pid for pid, name in descendants(supervisor.pid).items() if name == "zenfi-keeper")
+    reaper = next(pid for pid, name in descendants(supervisor.pid).items() if name == "zenfi-reaper")
     leader = laboratory.one("x").pid
-    left = [pid for pid in descendants(keeper) if pid != leader]
+    left = [pid for pid in descendants(reaper) if pid != leader]
     # Stopped, neither can do anything about the other's death.
-    for pid in (keeper, supervisor.pid):
+    for pid in (reaper, supervisor.pid):
         os.kill(pid, signal.SIGSTOP)
-    for pid in (supervisor.pid, keeper):
+    for pid in (supervisor.pid, reaper):
         os.kill(pid, signal.SIGKILL)
     supervisor.wait()
     wait_until(lambda: not alive(leader or 0), PATIENCE_S)
@@ -156,11 +156,11 @@ def test_what_outlives_supervisor_and_keeper_is_cleared_by_the_next_start(labora
     assert view.cleared == 1
 
 
-def test_who_loses_its_keeper_is_cleared_and_started_again(laboratory: Laboratory) -> None:
+def test_who_loses_its_reaper_is_cleared_and_started_again(laboratory: Laboratory) -> None:
     laboratory.up({"x": {"command": fixture("forks")}})
     laboratory.until("x", lambda one: one.processes == 4)
     family = descendants(laboratory.started[0].process.pid)
-    os.kill(next(pid for pid, name in family.items() if name == "zenfi-keeper"), signal.SIGKILL)
+    os.kill(next(pid for pid, name in family.items() if name == "zenfi-reaper"), signal.SIGKILL)
     one = laboratory.until("x", lambda one: one.life == 2 and one.processes == 4)
     assert not any(alive(pid) for pid in family)
     assert one.restarts == 1
@@ -237,9 +237,9 @@ def test_a_process_finds_its_environment_and_folder(laboratory: Laboratory, tmp_
 
 def test_what_is_unknown_is_refused(laboratory: Laboratory) -> None:
     laboratory.up({"x": {"command": SLEEP}})
-    with pytest.raises(RefusedError, match="no process 'z' in stack test; there are: x"):
+    with pytest.raises(ControlRefusedError, match="no process 'z' in stack test; there are: x"):
         laboratory.ask("stop", "z")
-    with pytest.raises(RefusedError, match="zenfi down"):
+    with pytest.raises(ControlRefusedError, match="zenfi down"):
         laboratory.ask("declare", stack=laboratory.stack({"x": {"command": SLEEP}}, logs="/elsewhere"))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.compose.control import Request, ask
+from deploy.compose.control import ControlRequest, ask
 from deploy.compose.folder import TakenError, UnsafeFolderError, held, stack_folder
 from tests.conftest import PATIENCE_S
 
@@ -61,7 +61,7 @@ def test_a_folder_that_others_can_enter_is_refused(folder: Path) -> None:
     with pytest.raises(UnsafeFolderError, match="yours alone"), held(folder):
         pass
     with pytest.raises(UnsafeFolderError, match="yours alone"):
-        ask(folder, Request(do="tell"))
+        ask(folder, ControlRequest(do="tell"))
 
 
 def test_a_link_is_refused(folder: Path, tmp_path: Path) -> None:

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deploy.compose.following import Following, tail
-from deploy.compose.logs import LINE_BYTES, Log, rotated
+from deploy.compose.logs import LINE_BYTES, Log, LogFollower, rotated, tail
 from deploy.compose.stack_file import LogLimits
 
 PLENTY = LogLimits(bytes_per_s=100_000_000)
@@ -69,7 +68,7 @@ def test_kept_and_lost_are_all_that_came(
 def test_following_goes_on_over_a_rotation(tmp_path: Path) -> None:
     log = Log(tmp_path / "x.log", LogLimits(file_bytes=1024, files=3, bytes_per_s=100_000_000))
     log.take(b"before\n")
-    following = Following(log.path)
+    following = LogFollower(log.path)
     seen = []
     for number in range(200):
         log.take(f"{number}\n".encode())

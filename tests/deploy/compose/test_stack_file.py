@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.check import BadSpecError
 from deploy.compose.reading import read_stack
 from deploy.compose.stack_file import BackOff
+from deploy.config.check import BadSpecError
 
 GOOD = """
 name = "mine"

@@ -10,15 +10,15 @@ import xxhash
 import zenoh
 import zenoh.ext
 
-from deploy.check import BadSpecError
-from deploy.forkserver import ForkServer
-from deploy.mission import Flight, fly
+from deploy.config.check import BadSpecError
+from deploy.mission.flight import FlownMission, fly
+from deploy.mission.fork_server import ForkServer
 from deploy.ros2.bridge import Bridge
-from deploy.ros2.domain import Domain, Meeting, NoRouterError
+from deploy.ros2.domain import Domain, DomainAddress, NoRouterError
 from services.bus.messages import decode, definition
-from services.bus.mission import Limits, MissionSpec
 from services.bus.ros2 import Attachment
 from services.bus.topics import RECORDED, TOPICS
+from services.models.mission import Limits, MissionSpec
 from tests.conftest import wait_until
 from tests.fixtures import ros_nodes
 
@@ -27,7 +27,7 @@ DOMAIN, OTHER = 7, 9
 
 
 @pytest.fixture(scope="module")
-def plain(server: ForkServer) -> Flight:
+def plain(server: ForkServer) -> FlownMission:
     return fly(SPEC, server, keep_messages=True)
 
 
@@ -41,7 +41,7 @@ def visitor(endpoint: str) -> Iterator[zenoh.Session]:
         yield session
 
 
-def fly_shown(domain: Domain, server: ForkServer) -> Flight:
+def fly_shown(domain: Domain, server: ForkServer) -> FlownMission:
     bridge = Bridge(domain, 0.0)
     time.sleep(0.5)  # for the subscriptions to be linked
     flight = fly(SPEC, server, watch=lambda _, recorder: bridge.show(recorder))
@@ -50,7 +50,7 @@ def fly_shown(domain: Domain, server: ForkServer) -> Flight:
 
 
 def test_another_implementation_hears_the_flight(
-    port: int, endpoint: str, server: ForkServer, plain: Flight
+    port: int, endpoint: str, server: ForkServer, plain: FlownMission
 ) -> None:
     texts = {"zenfi_msgs/msg/Goal": definition("zenfi_msgs/msg/Goal")}
     twist = ros_nodes.described("geometry_msgs/msg/TwistStamped", {})
@@ -59,7 +59,7 @@ def test_another_implementation_hears_the_flight(
     goals = ros_nodes.subscriber(port, DOMAIN, "/goal", goal)
     elsewhere = ros_nodes.subscriber(port, DOMAIN + 1, "/command", twist)
     clock = ros_nodes.subscriber(port, DOMAIN, "/clock", ros_nodes.described("rosgraph_msgs/msg/Clock", {}))
-    with Domain(Meeting(domain=DOMAIN, endpoint=endpoint)) as domain:
+    with Domain(DomainAddress(domain=DOMAIN, endpoint=endpoint)) as domain:
         flight = fly_shown(domain, server)
         assert flight.outcome.digest == plain.outcome.digest
         assert plain.messages is not None
@@ -78,7 +78,7 @@ def test_every_topic_is_in_the_graph_and_stamped_by_its_publisher(
 ) -> None:
     came: queue.SimpleQueue[Any] = queue.SimpleQueue()
     subscription = visitor.declare_subscriber(f"{OTHER}/odometry/**", came.put)
-    with Domain(Meeting(domain=OTHER, endpoint=endpoint)) as domain:
+    with Domain(DomainAddress(domain=OTHER, endpoint=endpoint)) as domain:
         fly_shown(domain, server)
         wait_until(lambda: came.qsize() >= 70)
         found = visitor.liveliness().get(f"@ros2_lv/{OTHER}/**", timeout=5.0)
@@ -113,10 +113,10 @@ def test_the_identity_is_that_of_the_published_algorithm() -> None:
 
 def test_without_a_router_it_says_what_to_start() -> None:
     with pytest.raises(NoRouterError, match="no Zenoh router at tcp/127"):
-        Domain(Meeting(domain=0, endpoint="tcp/127.0.0.1:1"))
+        Domain(DomainAddress(domain=0, endpoint="tcp/127.0.0.1:1"))
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/192.0.2.1:7447", "udp/127.0.0.1:7447", "nonsense"])
 def test_an_endpoint_beyond_this_machine_is_refused_unless_it_is_tls(endpoint: str) -> None:
     with pytest.raises(BadSpecError, match=r"endpoint|beyond this machine"):
-        Domain(Meeting(domain=0, endpoint=endpoint))
+        Domain(DomainAddress(domain=0, endpoint=endpoint))

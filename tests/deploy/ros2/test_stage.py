@@ -10,10 +10,10 @@ import pytest
 from rosbags.typesys.stores import ros2_jazzy as ros
 from zenoh_ros2_sdk import ROS2Subscriber
 
-from deploy.forkserver import ForkServer
-from deploy.mission import fly
-from deploy.supervisor import InfrastructureError
-from services.bus.mission import Limits, MissionSpec
+from deploy.errors import InfrastructureError
+from deploy.mission.flight import fly
+from deploy.mission.fork_server import ForkServer
+from services.models.mission import Limits, MissionSpec
 from tests.fixtures import ros_nodes
 from tests.fixtures.own_stacks import read
 

@@ -74,3 +74,25 @@ def test_a_promise_is_built_on_the_earliest_possible_start() -> None:
     assert earliest_activation(channel, 90) == 90
     channel.receive(message(0, 85))
     assert earliest_activation(channel, 50) == 85
+
+
+def test_a_promise_waits_for_its_last_message() -> None:
+    channel = Channel()
+    channel.promise(2, 500)
+    channel.receive(message(0, 10))
+    assert channel.horizon_ns == 0
+    channel.receive(message(1, 20))
+    assert channel.horizon_ns == 500
+
+
+def test_a_trigger_at_the_moment_a_stage_is_free_is_taken_up_then() -> None:
+    channel = Channel()
+    channel.receive(message(0, 40))
+    assert next_activation(channel, 40) == 40
+
+
+def test_a_message_that_comes_twice_before_its_turn_is_counted() -> None:
+    channel = Channel()
+    channel.receive(message(1, 20))
+    channel.receive(message(1, 20))
+    assert channel.duplicates == 1

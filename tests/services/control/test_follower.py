@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.bus.safety import BRAKE_BELOW_S
 from services.control.follower import WAYPOINT_FIELDS, Follower, past, waypoints
 from services.control.pid import state_at
+from services.models.safety import BRAKE_BELOW_S
 
 HERE = np.array([0.0, 0.0, 3.0])
 FAST = np.array([3.0, 0.0, 0.0])
@@ -175,3 +175,13 @@ def test_skipping_changes_no_trajectory_but_the_one_that_is_flown(flying: Follow
     assert np.array_equal(newest, eastwards(2.0))
     forward_speed(flying, 2.5, 1.5)
     assert len(flying.curve(2.6, HERE, FAST, 0.0)) == len(newest)
+
+
+def test_a_stop_does_not_go_on_against_the_wind_of_the_flight_before(flying: Follower) -> None:
+    for tick in range(200):
+        flying.command(1.0 + 0.04 * tick, np.array([3.0 + 0.12 * tick, -1.0, 3.0]), FAST, 0.0, 0.04)
+    assert flying.take_trajectory(2, 0, NONE)
+    place = np.array([27.0, -1.0, 3.0])
+    assert flying.command(9.0, place, np.zeros(3), 0.0, 0.04) == pytest.approx(
+        [0.0, 0.0, 0.0, 0.0], abs=0.001
+    )

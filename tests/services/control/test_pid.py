@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.bus.safety import SPEED_LIMIT_M_S
 from services.control.pid import STATE_SIZE, YAW_RATE_LIMIT_RAD_S, pid, state_at, stopping
+from services.models.safety import SPEED_LIMIT_M_S
 
 PERIOD_S = 0.04
 STILL = np.zeros(3)
@@ -138,3 +138,45 @@ def test_stopping_is_straight_on_and_comes_to_rest() -> None:
     assert state_at(rows, 10.375)[3:6] == pytest.approx(velocity / 2)
     assert state_at(rows, 99.0)[3:6] == pytest.approx(0.0)
     assert state_at(stopping(10.0, STILL, STILL, 0.7, 4.0), 11.0)[:10] == pytest.approx([0.0] * 9 + [0.7])
+
+
+def test_a_vehicle_that_faces_aside_has_turned_within_a_second_and_a_quarter() -> None:
+    yaw, yaws = 0.0, []
+    for tick in range(32):
+        yaw += (
+            pid(hover(0, 0, 0, 0.5), tick * PERIOD_S, STILL, STILL, yaw, PERIOD_S, np.zeros(STATE_SIZE))[3]
+            * PERIOD_S
+        )
+        yaws.append(yaw)
+    assert max(yaws) <= 0.5
+    assert yaws[-1] == pytest.approx(0.5, abs=0.05)
+
+
+def test_no_turn_is_faster_than_ninety_degrees_a_second() -> None:
+    assert math.degrees(command(hover(0, 0, 0, 3.0))[3]) == pytest.approx(90.0)
+
+
+def test_a_vehicle_a_metre_aside_is_back_within_three_seconds() -> None:
+    """With a lag of 0.3 s in its velocity: soon, and without swinging far beyond."""
+    position, velocity, state = np.array([1.0, 0.0, 0.0]), np.zeros(3), np.zeros(STATE_SIZE)
+    places = []
+    for tick in range(75):
+        out = pid(hover(0, 0, 0), tick * PERIOD_S, position, velocity, 0.0, PERIOD_S, state)
+        velocity += (out[:3] - velocity) * PERIOD_S / 0.3
+        position += velocity * PERIOD_S
+        places.append(position[0])
+    assert min(places) > -0.15
+    assert abs(places[-1]) < 0.12
+    assert next(tick for tick, place in enumerate(places) if place < 0.5) * PERIOD_S < 0.8
+
+
+def test_a_speed_that_the_trajectory_does_not_have_is_braked() -> None:
+    there = hover(0.0, 0.0, 0.0)
+    assert command(there, velocity=np.array([1.0, 0.0, 0.0]))[:3] == pytest.approx([-0.15, 0.0, 0.0])
+
+
+def test_what_a_minute_far_away_leaves_in_the_integral_is_soon_flown_off() -> None:
+    there, state = hover(5.0, 0.0, 0.0), np.zeros(STATE_SIZE)
+    for _ in range(1500):
+        pid(there, 0.5, STILL, STILL, 0.0, PERIOD_S, state)
+    assert abs(pid(there, 0.5, np.array([5.0, 0.0, 0.0]), STILL, 0.0, PERIOD_S, state)[0]) <= 0.2

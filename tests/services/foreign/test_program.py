@@ -10,16 +10,23 @@ from pathlib import Path
 import pytest
 
 from services.bus.horizon import Stamped
-from services.bus.own_stack import OwnStage
-from services.bus.platform import KernelLatency
-from services.foreign.program import Program, ProgramDiedError, ProgramError, Put, greeting, step
+from services.foreign.program import (
+    ProgramDiedError,
+    ProgramError,
+    ProgramOutput,
+    StageProgram,
+    greeting,
+    step,
+)
+from services.models.own_stack import OwnStage
+from services.models.platform import KernelLatency
 
 
 @contextmanager
-def program(script: str) -> Iterator[Program]:
+def program(script: str) -> Iterator[StageProgram]:
     command = (sys.executable, "-u", "-c", f"import os, sys, time\n{script}")
     own = OwnStage(command=command, folder="/", sha256="0" * 64, latency=KernelLatency(mean_ms=1))
-    running = Program(own, 0)
+    running = StageProgram(own, 0)
     try:
         yield running
     finally:
@@ -39,7 +46,11 @@ sys.stdout.buffer.write(b"put cloud 3\n\n\0\nput map 0\nput cloud 1\nxdone\n")
 """
     with program(script) as one:
         one.tell(step([], 1))
-        assert one.answer() == [Put("cloud", b"\n\0\n"), Put("map", b""), Put("cloud", b"x")]
+        assert one.answer() == [
+            ProgramOutput("cloud", b"\n\0\n"),
+            ProgramOutput("map", b""),
+            ProgramOutput("cloud", b"x"),
+        ]
 
 
 def test_a_large_message_passes_both_ways() -> None:
@@ -51,7 +62,7 @@ sys.stdout.buffer.write(b"put map %d\\n" % size + body[::-1] + b"done\\n")
     content = os.urandom(1 << 20)
     with program(script) as one:
         one.tell(step([("map", Stamped(0, 0, content))], 1))
-        assert one.answer() == [Put("map", content[::-1])]
+        assert one.answer() == [ProgramOutput("map", content[::-1])]
 
 
 @pytest.mark.parametrize(
@@ -86,7 +97,7 @@ def test_it_dies_with_who_started_it() -> None:
             sha256="0" * 64,
             latency=KernelLatency(mean_ms=1),
         )
-        os.write(write, b"%d" % Program(own, 0).pid)
+        os.write(write, b"%d" % StageProgram(own, 0).pid)
         os._exit(0)
     os.waitpid(child, 0)
     pid = int(os.read(read, 16))

@@ -38,6 +38,12 @@ def test_the_body_meets_a_wall_a_radius_before_the_centre_does(walled: Occupancy
     assert time_to_collision(there, 101.0, walled) == pytest.approx((8.1 - 1.5) / SPEED - 1.0, abs=0.3)
 
 
+def test_a_wall_between_two_points_that_are_far_apart_is_met(walled: OccupancyMap) -> None:
+    leg = straight((0, 0, 3), (20, 0, 3))[[0, -1]]
+    assert time_to_collision(leg, 100.0, walled) == pytest.approx((8.1 - 1.5) / SPEED, abs=0.3)
+    assert math.isinf(time_to_collision(leg, 106.5, walled))  # it is behind
+
+
 @pytest.mark.parametrize(
     ("start", "end"),
     [
@@ -89,3 +95,15 @@ def test_a_restarted_counter_goes_on_from_what_was_answered() -> None:
 
 def test_the_counter_stays_in_its_field() -> None:
     assert CollisionCounter().update(1, 2**32 - 1, collision=True) == 2**32 - 1
+
+
+def test_the_body_is_as_high_as_it_is() -> None:
+    """A ledge in the voxels from z = 1 to 1.5: 0.3 m of body above and below the path count."""
+    y = np.arange(-2.0, 2.0, 0.2)
+    ledge = OccupancyMap()
+    ledge.insert(
+        np.column_stack([np.full_like(y, 8.1), y, np.full_like(y, 1.25)]), np.array([0.0, 0.0, 1.25])
+    )
+    for z, meets in ((0.68, False), (0.72, True), (1.25, True), (1.78, True), (1.82, False)):
+        found = time_to_collision(straight((0, 0, z), (20, 0, z)), 100.0, ledge)
+        assert math.isfinite(found) == meets, z

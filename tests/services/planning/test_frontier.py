@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from services.bus.octomaps import UNKNOWN, known
 from services.planning.frontier import NEAREST_M, frontier
-from services.planning.voxels import UNKNOWN, known, unpack
+from services.planning.voxels import unpack
 from tests.services.planning.maps import HIGH, LOW, RESOLUTION_M, box, payload, tree
 
 LOWER, UPPER = np.array([-8.0, -12.0, 3.0]), np.array([32.0, 12.0, 3.0])

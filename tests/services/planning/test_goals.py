@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.bus.arrays import Place
-from services.planning.goals import Goals, Standing, goals
-from services.planning.voxels import MalformedMap
+from services.bus.arrays import FlightPlace
+from services.bus.octomaps import MalformedMap
+from services.planning.goals import GoalContext, Goals, goals
 from tests.services.planning.maps import RESOLUTION_M, box, payload, tree
 
 START, GOAL = np.array([-25.0, 5.0, 2.0]), np.array([25.0, 5.0, 2.0])
-PLACE = Place(GOAL, START, np.array([-25.0, -19.0, 2.0]), np.array([25.0, 5.0, 2.0]))
+PLACE = FlightPlace(GOAL, START, np.array([-25.0, -19.0, 2.0]), np.array([25.0, 5.0, 2.0]))
 
 
 def ask(aims: Goals, position: NDArray[np.float64], *, reached: bool) -> list[float] | None:
-    goal = aims.next(Standing(position, reached))
+    goal = aims.next(GoalContext(position, reached))
     return None if goal is None else list(goal)
 
 
@@ -34,7 +34,7 @@ def swept(aims: Goals, position: NDArray[np.float64], count: int) -> list[tuple[
     """The next goals (x, y), every second one unreachable."""
     found = []
     for turn in range(count):
-        goal = aims.next(Standing(position, reached=turn % 2 == 1))
+        goal = aims.next(GoalContext(position, reached=turn % 2 == 1))
         assert goal is not None
         found.append((float(goal[0]), float(goal[1])))
         position = goal
@@ -56,7 +56,7 @@ def test_only_the_choice_of_a_goal_runs_a_kernel() -> None:
     assert not goals("navigation", PLACE, 8.0).chooses
     sweep = goals("scanning", PLACE, 8.0)
     assert sweep.chooses
-    sweep.next(Standing(START, reached=False))
+    sweep.next(GoalContext(START, reached=False))
     assert not sweep.chooses
 
 
@@ -67,7 +67,7 @@ def test_an_exploration_goes_on_until_there_is_no_frontier_left(mission: str) ->
     position, visited = np.array([-20.0, 0.0, 2.0]), []
     for turn in range(40):
         aims.look(position, octomap, RESOLUTION_M)
-        goal = aims.next(Standing(position, reached=turn % 2 == 1))
+        goal = aims.next(GoalContext(position, reached=turn % 2 == 1))
         if goal is None:
             break
         visited.append(goal)

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from services.bus.arrays import Verdict
-from services.bus.safety import BRAKE_BELOW_S
-from services.planning.pilot import FAILURES_MAX, GOAL_FAILURES_MAX, Navigator, Request
+from services.models.safety import BRAKE_BELOW_S
+from services.planning.pilot import FAILURES_MAX, GOAL_FAILURES_MAX, Navigator, PlanRequest
 from services.planning.voxels import CLOSE, NEAR
 
 HERE, GOAL = np.array([0.0, 0.0, 3.0]), np.array([50.0, 0.0, 3.0])
@@ -37,13 +37,13 @@ def consider(
     position: NDArray[np.float64],
     verdict: Verdict,
     velocity: NDArray[np.float64] = FAST,
-) -> Request | None:
+) -> PlanRequest | None:
     return navigator.consider(now_s, position, velocity, 0.0, verdict)
 
 
 def asked(
     navigator: Navigator, now_s: float, position: NDArray[np.float64], seq: int, fcs: int = 0
-) -> Request:
+) -> PlanRequest:
     """A request from a standstill that must come."""
     request = consider(navigator, now_s, position, Verdict(now_s, seq, fcs, math.inf), STILL)
     assert request is not None

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.bus.safety import SPEED_LIMIT_M_S
+from services.models.safety import SPEED_LIMIT_M_S
 from services.planning.planners import plan
 from services.planning.trajectory import (
     ACCELERATION_LIMIT_M_S2,

@@ -7,16 +7,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from services.bus.messages import Octomap, header
-from services.planning.voxels import (
-    CLOSE,
-    FREE,
-    NEAR,
-    OCCUPIED,
-    MalformedMap,
-    VoxelGrid,
-    sound_map,
-    unpack,
-)
+from services.bus.octomaps import MalformedMap, sound_map
+from services.planning.voxels import CLOSE, FREE, NEAR, OCCUPIED, VoxelGrid, unpack
 from tests.services.planning.maps import HIGH, LOW, RESOLUTION_M, box, grid, open_space, payload, tree
 
 

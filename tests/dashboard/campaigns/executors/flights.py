@@ -8,10 +8,10 @@ from dashboard.campaigns.executors.executor import Executor
 from dashboard.campaigns.executors.local import LocalExecutor
 from dashboard.campaigns.scheduler import Finished, Scheduler, Write
 from dashboard.campaigns.spec import Arm, CampaignSpec, Cell, Run, runs
-from dashboard.campaigns.states import CampaignStates, RunState
+from dashboard.campaigns.state_machine import CampaignStates, RunState
 from dashboard.campaigns.stopping import StoppingRule
-from services.bus.mission import FaultSpec, Limits, MissionSpec
-from services.bus.outcome import Outcome
+from services.models.mission import FaultSpec, Limits, MissionSpec
+from services.models.outcome import Outcome
 from tests.conftest import descendants
 
 LEASE_S = 60.0

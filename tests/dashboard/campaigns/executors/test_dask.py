@@ -14,19 +14,19 @@ import pytest
 from click.testing import CliRunner
 from distributed import Client, LocalCluster
 
-from dashboard.campaigns.events import Flown, Lost, Started
+from dashboard.campaigns.events import Flown, Lost, RunStarted
 from dashboard.campaigns.executors import choice
 from dashboard.campaigns.executors.dask import DaskExecutor
-from dashboard.campaigns.executors.executor import Task
+from dashboard.campaigns.executors.executor import ExecutorTask
 from dashboard.campaigns.executors.spec import DaskSpec
 from dashboard.campaigns.spec import Run
-from dashboard.campaigns.states import CampaignStates
+from dashboard.campaigns.state_machine import CampaignStates
 from dashboard.cli import zenfi
-from deploy import identity
-from deploy.check import BadSpecError
-from deploy.dask_slot import RESOURCE, Message
-from deploy.supervisor import InfrastructureError
-from services.bus.mission import FaultSpec
+from deploy.config.check import BadSpecError
+from deploy.errors import InfrastructureError
+from deploy.workers import installation
+from deploy.workers.dask_task import RESOURCE, SlotMessage
+from services.models.mission import FaultSpec
 from tests.conftest import alive, descendants, wait_until
 from tests.dashboard.campaigns import test_durability as durability
 from tests.dashboard.campaigns.executors.flights import (
@@ -122,31 +122,31 @@ def test_paused_and_cancelled_work_ends(cluster: str) -> None:
 def test_dropped_tasks_end_and_those_of_a_scheduler_that_leaves(cluster: str) -> None:
     with closing(DaskExecutor(cluster, None, LEASE_S)) as executor:
         idle = executor.idle
-        executor.submit(Task("a", FOR_LONG))
-        until(executor, Started("a", 0))
+        executor.submit(ExecutorTask("a", FOR_LONG))
+        until(executor, RunStarted("a", 0))
         wait_until(lambda: bool(nodes()), PATIENCE_S)
         executor.drop("a")
         assert executor.idle == idle
         wait_until(lambda: not nodes(), PATIENCE_S / 2)
-        executor.submit(Task("b", FOR_LONG))
-        until(executor, Started("b", 0))
+        executor.submit(ExecutorTask("b", FOR_LONG))
+        until(executor, RunStarted("b", 0))
         wait_until(lambda: bool(nodes()), PATIENCE_S)
     wait_until(lambda: not nodes(), PATIENCE_S / 2)
 
 
 def test_a_task_that_dask_begins_again_by_itself_is_lost(cluster: str) -> None:
     with closing(DaskExecutor(cluster, None, LEASE_S)) as executor:
-        executor.submit(Task("a", FOR_LONG))
-        until(executor, Started("a", 0))
+        executor.submit(ExecutorTask("a", FOR_LONG))
+        until(executor, RunStarted("a", 0))
         (key,) = executor._flights
-        again = Message(task=key, execution="another", kind="begun", run=0)
+        again = SlotMessage(task=key, execution="another", kind="begun", run=0)
         executor._hear((0.0, again.model_dump_json()))
         until(executor, Lost("a", "the worker was started again"))
         assert not executor.leases
     wait_until(lambda: not nodes(), PATIENCE_S / 2)
 
 
-def until(executor: DaskExecutor, event: Started | Lost) -> None:
+def until(executor: DaskExecutor, event: RunStarted | Lost) -> None:
     """Poll until something is reported."""
     deadline = time.monotonic() + PATIENCE_S
     while all(report.event != event for report in executor.poll(1.0)):
@@ -169,8 +169,8 @@ def test_a_worker_never_flies_more_than_it_has_slots() -> None:
             closing(DaskExecutor(made.scheduler_address, None, LEASE_S)) as other,
         ):
             at_once, left = 0, {"one", "other"}
-            one.submit(Task("one", [(0, SHORT)]))
-            other.submit(Task("other", [(0, SHORT)]))
+            one.submit(ExecutorTask("one", [(0, SHORT)]))
+            other.submit(ExecutorTask("other", [(0, SHORT)]))
             while left:
                 for executor in (one, other):
                     events = [report.event for report in executor.poll(0.05)]
@@ -217,15 +217,15 @@ def test_a_cluster_without_slots_is_refused_with_nothing_stored(tmp_path: Path) 
 
 
 def test_a_worker_of_another_version_is_refused(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    newer = identity.own().model_copy(update={"zenfi": "9.9"})
-    monkeypatch.setattr(identity, "own", lambda: newer)
+    newer = installation.own().model_copy(update={"zenfi": "9.9"})
+    monkeypatch.setattr(installation, "own", lambda: newer)
     with pytest.raises(BadSpecError, match=r"worker tcp://.* zenfi is .* there, 9\.9 here"):
         DaskExecutor(cluster, None, LEASE_S)
 
 
 def test_a_worker_that_comes_later_refuses_by_itself(cluster: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    newer = identity.own().model_copy(update={"forms": "other"})
-    monkeypatch.setattr(identity, "told", newer.model_dump_json)
+    newer = installation.own().model_copy(update={"forms": "other"})
+    monkeypatch.setattr(installation, "told", newer.model_dump_json)
     monkeypatch.setattr(DaskExecutor, "_refuse_strangers", lambda _: None)
     with (
         closing(DaskExecutor(cluster, None, LEASE_S)) as executor,

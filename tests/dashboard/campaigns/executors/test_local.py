@@ -7,13 +7,13 @@ from collections.abc import Callable
 
 import pytest
 
-from dashboard.campaigns.events import Lost, Started
+from dashboard.campaigns.events import Lost, RunStarted
 from dashboard.campaigns.executors import local
-from dashboard.campaigns.executors.executor import Report, Task
-from dashboard.campaigns.scheduler import fly_all
+from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask
 from dashboard.campaigns.spec import Run
-from deploy.supervisor import InfrastructureError
-from services.bus.mission import MissionSpec
+from deploy.errors import InfrastructureError
+from services.models.mission import MissionSpec
+from tests.bench.fly_all import fly_all
 
 RUN = Run("golden", 0, MissionSpec())
 
@@ -65,18 +65,20 @@ def test_a_silent_worker_loses_its_lease_and_its_process(monkeypatch: pytest.Mon
     monkeypatch.setattr(local, "start_worker", start)
     executor = local.LocalExecutor(1, lease_s=60.0)
     try:
-        assert executor.submit(Task("a", [(0, MissionSpec())])) == [Report(Started("a", 0))]
+        assert executor.submit(ExecutorTask("a", [(0, MissionSpec())])) == [
+            ExecutorReport(RunStarted("a", 0))
+        ]
         assert executor.leases == {"a"}
         executor.drop("a")
         assert started[0].poll() is not None
         assert executor.idle == 1
         started[1].kill()
         deadline = time.monotonic() + 20
-        executor.submit(Task("b", [(1, MissionSpec())]))
-        reports: list[Report] = []
+        executor.submit(ExecutorTask("b", [(1, MissionSpec())]))
+        reports: list[ExecutorReport] = []
         while not reports and time.monotonic() < deadline:
             reports = executor.poll(0.1)
-        assert reports == [Report(Lost("b", "the worker died"))]
+        assert reports == [ExecutorReport(Lost("b", "the worker died"))]
     finally:
         executor.close()
     assert all(process.poll() is not None for process in started)

@@ -14,14 +14,14 @@ from typing import Any, TypeVar
 import pytest
 import submitit
 
-from dashboard.campaigns.events import Flown, Lost, Started
-from dashboard.campaigns.executors.executor import Report, Task
+from dashboard.campaigns.events import Flown, Lost, RunStarted
+from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask
 from dashboard.campaigns.executors.slurm import SlurmExecutor, batch_system
 from dashboard.campaigns.executors.spec import SlurmSpec
-from dashboard.campaigns.states import CampaignStates
-from deploy import identity
-from deploy.shard import OWNER, fly_shard
-from deploy.supervisor import InfrastructureError
+from dashboard.campaigns.state_machine import CampaignStates
+from deploy.errors import InfrastructureError
+from deploy.workers import installation
+from deploy.workers.slurm_shard import OWNER, fly_shard
 from tests.conftest import descendants, wait_until
 from tests.dashboard.campaigns import test_durability as durability
 from tests.dashboard.campaigns.executors.flights import (
@@ -67,7 +67,7 @@ def shards(folder: Path, lease_s: float = LEASE_S) -> SlurmExecutor:
     return SlurmExecutor(SlurmSpec(folder=str(folder), shard=100, jobs=1), None, lease_s, LocalJobs)
 
 
-def until(executor: SlurmExecutor, wanted: type[object]) -> Report:
+def until(executor: SlurmExecutor, wanted: type[object]) -> ExecutorReport:
     """The first report of a kind."""
     deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline:
@@ -84,7 +84,7 @@ def test_the_same_outcomes_as_on_this_machine(tmp_path: Path, here: Outcomes) ->
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("victim", ["deploy.worker", "submitit.core._submit"])
+@pytest.mark.parametrize("victim", ["deploy.workers.worker", "submitit.core._submit"])
 def test_a_killed_job_costs_one_attempt(tmp_path: Path, here: Outcomes, victim: str) -> None:
     killed: list[int] = []
 
@@ -109,8 +109,8 @@ def test_a_killed_job_costs_one_attempt(tmp_path: Path, here: Outcomes, victim: 
 
 def test_a_preempted_job_is_lost_at_once(tmp_path: Path) -> None:
     with closing(shards(tmp_path)) as executor:
-        executor.submit(Task("a", [(n, SHORT.model_copy(update={"seed": n})) for n in range(300)]))
-        until(executor, Started)
+        executor.submit(ExecutorTask("a", [(n, SHORT.model_copy(update={"seed": n})) for n in range(300)]))
+        until(executor, RunStarted)
         (job,) = (shard.job for shard in executor._shards.values())
         assert isinstance(job, submitit.LocalJob)
         job._interrupt()
@@ -134,8 +134,8 @@ def test_paused_work_ends(tmp_path: Path) -> None:
 def a_shard(folder: Path, patience_s: float, expected: str | None = None) -> list[str]:
     """What is in a shard's folder after its job has flown in a process of its own."""
     runs = [(run, planned.spec.model_dump_json()) for run, planned in PLANNED.items()]
-    arguments = (str(folder), runs, expected or identity.told(), patience_s)
-    script = f"from deploy.shard import fly_shard\nfly_shard(*{arguments!r})"
+    arguments = (str(folder), runs, expected or installation.told(), patience_s)
+    script = f"from deploy.workers.slurm_shard import fly_shard\nfly_shard(*{arguments!r})"
     subprocess.run([sys.executable, "-c", script], check=True, timeout=PATIENCE_S)
     return sorted(entry.name for entry in folder.iterdir())
 
@@ -150,13 +150,13 @@ def test_a_shard_whose_scheduler_is_silent_ends(tmp_path: Path) -> None:
 
 def test_a_job_that_slurm_begins_again_flies_nothing(tmp_path: Path) -> None:
     (tmp_path / "begun").touch()
-    fly_shard(str(tmp_path), [(0, SHORT.model_dump_json())], identity.told(), LEASE_S)
+    fly_shard(str(tmp_path), [(0, SHORT.model_dump_json())], installation.told(), LEASE_S)
     assert [entry.name for entry in tmp_path.iterdir()] == ["begun"]
 
 
 def test_a_job_of_another_version_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    newer = identity.own().model_copy(update={"zenfi": "9.9"})
-    monkeypatch.setattr(identity, "told", newer.model_dump_json)
+    newer = installation.own().model_copy(update={"zenfi": "9.9"})
+    monkeypatch.setattr(installation, "told", newer.model_dump_json)
     executor = shards(tmp_path)
     with closing(executor), pytest.raises(InfrastructureError, match=r"another zenfi: zenfi is .* 9\.9 here"):
         list(scheduler_of(executor).fly())
@@ -164,7 +164,7 @@ def test_a_job_of_another_version_refuses(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_answers_of_a_shard_are_checked(tmp_path: Path) -> None:
     with closing(shards(tmp_path)) as executor:
-        executor.submit(Task("a", [(0, SHORT)]))
+        executor.submit(ExecutorTask("a", [(0, SHORT)]))
         (folder,) = tmp_path.glob("*/shard-a")
         (folder / "run-0.json").write_text('{"outcome": {}}')
         with pytest.raises(ValueError, match="Answer"):

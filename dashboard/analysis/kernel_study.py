@@ -1,0 +1,139 @@
+"""What a kernel study found: shares with intervals, sizes of silent corruption, groups."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from dashboard.campaigns.statistics.proportions import wilson
+from injector.kernel_study.instruction_index import InstructionIndex
+from injector.kernel_study.study import StudyResult, StudyRun
+from services.models.base import Strict
+from services.models.outcome import InjectionRecord
+
+RESULTS: tuple[StudyResult, ...] = ("benign", "sdc", "crash", "hang")
+
+_CONTROL = re.compile(r"j\w+|call|ret|loop\w*|bnd")
+_COMPARE = re.compile(r"cmp|test|bt|v?u?comis[sd]|v?cmp\w*|v?ptest|kortest\w*|ktest\w*")
+_FLOATING = re.compile(r"v?(?!v|mov|cmp|p|u?comi|broadcast|gather)\w+[sp][sd]|v?cvt\w+|f\w+")
+_VECTOR = re.compile(
+    r"v\w+|p(?!ush|op|ause|refetch)\w+|mov(?:aps|apd|ups|upd|dqa|dqu|s[sd]|[hl]p[sd]|[dq]|nt\w+)|k\w+"
+)
+_MOVE = re.compile(
+    r"mov\w*|lea|cmov\w+|xchg|set\w+|push|pop|leave|enter|c[dqw]\w+|rep\w*|stos\w|lods\w|bswap"
+)
+
+
+class OutcomeShare(Strict):
+    """How many of the injected, and the 95 % Wilson interval of their part."""
+
+    count: int
+    low: float
+    high: float
+
+
+class KernelSummary(Strict):
+    """One kernel's outcomes. Rates are of what was made now, not of what was kept from before.
+
+    ``deviations``: median, 95th percentile and maximum of the largest difference of a value, in the kernel's
+    ``unit``, over silent corruption that has one (``measured``). ``covered``: the part of the call's
+    instructions that is drawn from, uniformly.
+    """
+
+    kernel: str
+    attempted: int
+    injected: int
+    shares: dict[str, OutcomeShare]
+    tolerable_sdc: int
+    unit: str
+    measured: int
+    deviations: tuple[float, float, float] | None
+    precisions: dict[str, int]
+    covered: float
+    not_injected: dict[str, int]
+    per_second: float
+    cpu_ms: float
+
+
+def summarise(
+    kernel: str,
+    unit: str,
+    runs: Sequence[StudyRun],
+    clock: InstructionIndex,
+    per_second: float,
+    cpu_ms: float,
+) -> KernelSummary:
+    """The summary of a kernel's runs."""
+    found = Counter(run.result for run in runs)
+    injected = sum(found[result] for result in RESULTS)
+    apart = [run.deviation for run in runs if run.deviation is not None]
+    return KernelSummary(
+        kernel=kernel,
+        attempted=len(runs),
+        injected=injected,
+        shares=shares(runs),
+        tolerable_sdc=sum(run.within_tolerance for run in runs),
+        unit=unit,
+        measured=len(apart),
+        deviations=tuple(float(one) for one in np.quantile(apart, (0.5, 0.95, 1.0))) if apart else None,
+        precisions=dict(Counter(run.injection.precision for run in runs)),
+        covered=clock.covered,
+        not_injected=dict(Counter(run.cause for run in runs if run.result == "not_injected")),
+        per_second=per_second,
+        cpu_ms=cpu_ms,
+    )
+
+
+def shares(runs: Sequence[StudyRun]) -> dict[str, OutcomeShare]:
+    """Of each result among the injected."""
+    found = Counter(run.result for run in runs)
+    injected = sum(found[result] for result in RESULTS)
+    told: dict[str, OutcomeShare] = {}
+    for result in RESULTS:
+        low, high = wilson(found[result], injected)
+        told[result] = OutcomeShare(count=found[result], low=low, high=high)
+    return told
+
+
+def instruction_class(text: str) -> str:
+    """What an instruction does, by its mnemonic in Intel syntax."""
+    words = text.split()
+    mnemonic = next((word for word in words if word not in ("lock", "bnd", "notrack")), "")
+    if _CONTROL.fullmatch(mnemonic):
+        return "control"
+    if _COMPARE.fullmatch(mnemonic):
+        return "compare"
+    if _FLOATING.fullmatch(mnemonic):
+        return "floating"
+    if _VECTOR.fullmatch(mnemonic):
+        return "vector"
+    return "move" if _MOVE.fullmatch(mnemonic) else "integer"
+
+
+def _bit(record: InjectionRecord) -> str:
+    bits = record.bits
+    return f"{bits[0] // 8 * 8}-{bits[0] // 8 * 8 + 7}" if len(bits) == 1 else f"{len(bits)} bits"
+
+
+WAYS: Mapping[str, Callable[[InjectionRecord], str]] = {
+    "class": lambda record: instruction_class(record.instruction),
+    "register": lambda record: record.register_name or "memory or code",
+    "role": lambda record: record.operand or "code",
+    "bit": _bit,
+    "module": lambda record: record.module or "compiled at run time",
+    "symbol": lambda record: record.symbol or "unknown",
+}
+"""By what injections can be divided; bits in groups of eight."""
+
+
+def divided(runs: Sequence[StudyRun], way: str) -> list[tuple[str, int, dict[str, OutcomeShare]]]:
+    """Groups of the injected trials by what was corrupted: name, number, shares; the largest first."""
+    groups: dict[str, list[StudyRun]] = defaultdict(list)
+    for run in runs:
+        if run.result in RESULTS:
+            groups[WAYS[way](run.injection)].append(run)
+    order = sorted(groups, key=lambda name: (-len(groups[name]), name))
+    return [(name, len(groups[name]), shares(groups[name])) for name in order]

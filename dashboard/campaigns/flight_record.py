@@ -1,0 +1,73 @@
+"""One flight of a campaign in a line: what summaries, comparisons and exports read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from dashboard.campaigns.spec import Cell
+from services.models.outcome import Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What the store keeps of an outcome beside the outcome itself.
+
+    ``node`` is the node aimed at and ``node_result`` what became of it; empty in a flight without a fault.
+    """
+
+    result: str
+    success: bool
+    flight_time_s: float
+    distance_m: float
+    energy_kj: float
+    replans: int
+    min_clearance_m: float
+    injection: str
+    node: str
+    node_result: str
+    twin_result: str
+    twin_success: bool | None
+    twin_flight_time_s: float | None
+    twin_distance_m: float | None
+    twin_energy_kj: float | None
+    digest: str
+    wall_s: float
+
+    @classmethod
+    def of(cls, outcome: Outcome) -> Result:
+        """The columns that are stored of an outcome."""
+        qof, record, twin = outcome.qof, outcome.injection, outcome.golden
+        aimed = outcome.nodes.get(record.node) if record is not None else None
+        return cls(
+            result=outcome.result,
+            success=qof.success,
+            flight_time_s=qof.flight_time_s,
+            distance_m=qof.distance_m,
+            energy_kj=qof.energy_kj,
+            replans=qof.replans,
+            min_clearance_m=qof.min_clearance_m,
+            injection=record.status if record is not None else "",
+            node=record.node if record is not None else "",
+            node_result=aimed.result if aimed is not None else "",
+            twin_result=twin.result if twin is not None else "",
+            twin_success=twin.qof.success if twin is not None else None,
+            twin_flight_time_s=twin.qof.flight_time_s if twin is not None else None,
+            twin_distance_m=twin.qof.distance_m if twin is not None else None,
+            twin_energy_kj=twin.qof.energy_kj if twin is not None else None,
+            digest=outcome.digest,
+            wall_s=outcome.wall_s,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FlightRecord:
+    """A run with its result, if it has one."""
+
+    cell: Cell
+    number: int
+    seed: int
+    phase: str
+    attempts: int
+    error: str
+    result: Result | None
+    id: int

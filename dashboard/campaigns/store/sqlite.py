@@ -1,0 +1,85 @@
+"""The store in one SQLite file: WAL, locks that are files, a quota in pages."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+
+from dashboard.campaigns.store.database import Database, StoreError, StoreFullError
+from deploy.config.check import BadSpecError
+
+PAGE_BYTES = 4096
+PRAGMAS = (
+    "journal_mode=WAL",
+    # A crash of the machine may take the last results with it; they are flown again.
+    "synchronous=NORMAL",
+    "foreign_keys=ON",
+    "busy_timeout=30000",
+)
+_FULL = ("database or disk is full", "disk I/O error")
+
+
+class SqliteDatabase(Database):
+    """Connections to one file, with the locks beside it.
+
+    :raises BadSpecError: if it is no store, or one of a newer zenfi.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(sa.create_engine(f"sqlite:///{path}"), str(path))
+        self._path = path
+        self._max_pages = 0
+        sa.event.listen(self.engine, "connect", self._configure)
+        # Two processes may meet at a store that is not made yet.
+        with path.with_suffix(".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            try:
+                self.upgrade()
+            except sa.exc.DBAPIError as error:
+                self.close()
+                message = f"store {path}: {error.orig}"
+                raise BadSpecError(message) from error
+            except BadSpecError:
+                self.close()
+                raise
+
+    def limit(self, disk_mb: int) -> None:
+        """Let the file grow to ``disk_mb`` and no further."""
+        self._max_pages = disk_mb * 1_000_000 // PAGE_BYTES
+        self.engine.dispose()  # the limit is each connection's own
+
+    @contextmanager
+    def lock(self, campaign: int) -> Iterator[bool]:
+        """Hold a campaign's lock, if it was free."""
+        path = self._path.with_name(f"{campaign}.lock")
+        descriptor = os.open(path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+        try:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                yield False
+            else:
+                yield True
+        finally:
+            os.close(descriptor)
+
+    def _transaction(self, campaign: int | None) -> AbstractContextManager[sa.Connection]:  # noqa: ARG002
+        return self.engine.begin()
+
+    def _meaning(self, error: sa.exc.DBAPIError) -> StoreError | None:
+        if not any(words in str(error.orig) for words in _FULL):
+            return None
+        message = f"{self.place}: {error.orig}"
+        return StoreFullError(message)
+
+    def _configure(self, connection: Any, _: object) -> None:
+        for pragma in PRAGMAS:
+            connection.execute(f"PRAGMA {pragma}")
+        if self._max_pages:
+            connection.execute(f"PRAGMA max_page_count={self._max_pages}")

@@ -1,0 +1,101 @@
+"""One life of the service: ``zenfi serve``."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+
+import uvicorn
+
+from dashboard.api.app import make_app
+from dashboard.api.processes.campaign_runner import CampaignRunner
+from dashboard.api.processes.event_bus import EventBus
+from dashboard.api.programs import named
+from dashboard.api.routes.metrics import log_to_stderr
+from dashboard.api.security import is_loopback, token_hash
+from dashboard.api.service import Service
+from dashboard.campaigns.store.store import Store
+from deploy.config.check import BadSpecError
+
+STREAMS_END_S = 5
+"""Clients that do not take the last events within this time are cut off when the service ends."""
+
+
+class _Server(uvicorn.Server):
+    """Ends its streams as soon as it is told to end: it would wait for them."""
+
+    def __init__(self, config: uvicorn.Config, event_bus: EventBus) -> None:
+        super().__init__(config)
+        self._event_bus = event_bus
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:  # noqa: ARG002 - uvicorn's
+        """Leave in order, with status 0; uvicorn would end by the signal."""
+        self._event_bus.close()
+        self.should_exit = True
+
+
+def serve(where: str, host: str, port: int, slots: int | None, stacks: Sequence[Path] = ()) -> None:
+    """Serve until SIGTERM or SIGINT; campaigns are then paused, and gone on with by the next life.
+
+    Who asks may have the programs in the files ``stacks`` flown, and no others.
+
+    :raises BadSpecError: if the store or the address cannot be had, or a file is no stack.
+    """
+    from dashboard.web.site import mount  # noqa: PLC0415 - slow to import, and only a server has pages
+
+    log_to_stderr()
+    programs = named(stacks)
+    with contextlib.ExitStack() as stack:
+        store = stack.enter_context(contextlib.closing(Store(where)))
+        token = _token(store, host)
+        listening = stack.enter_context(contextlib.closing(_listen(host, port)))
+        event_bus = EventBus()
+        service = Service(store, event_bus, CampaignRunner(store, event_bus, slots), programs)
+        app = make_app(service, token, loopback=is_loopback(host))
+        mount(app, service)
+        config = uvicorn.Config(
+            app,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=STREAMS_END_S,
+            ws="websockets-sansio",
+            ws_max_size=1 << 16,
+            # Charts as text: to make them smaller takes longer than to send them.
+            ws_per_message_deflate=False,
+        )
+        service.runner.start()
+        try:
+            _Server(config, event_bus).run([listening])
+        finally:
+            service.runner.stop()
+
+
+def _token(store: Store, host: str) -> str:
+    """The hash of the token that requests must bear, empty if none."""
+    token = token_hash(store.folder)
+    if is_loopback(host):
+        return ""
+    if not token:
+        message = f"--host {host}: others could reach it, so it needs a token: zenfi token new"
+        raise BadSpecError(message)
+    return token
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """A listening socket; closed to programs that we start."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        listening = socket.socket(family, kind, protocol)
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(address)
+        listening.listen(128)
+    except OSError as error:
+        message = f"--host {host} --port {port}: {error.strerror}"
+        raise BadSpecError(message) from error
+    return listening

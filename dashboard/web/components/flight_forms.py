@@ -1,0 +1,83 @@
+"""Forms: one mission to be flown, one fault to be injected into a flight that is under way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from fastapi import Response
+from nicegui import ui
+
+from dashboard.api.routes.flights import HandMadeFault, NewFlight, create_flight, inject_by_hand
+from dashboard.api.service import Service
+from dashboard.campaigns.store.queries import Campaign
+from dashboard.web.components.frame import ask, told
+from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS
+from services.models.inter_kernel_states import GROUPS, STATES
+from services.models.mission import FaultSpec, MissionSpec
+from sim.world import world_names
+
+Made = Callable[[str], object]
+"""Is told the label of the flight that was made."""
+
+_MISSIONS = ("navigation", "scanning", "mapping", "search", "delivery")
+_FIELDS = ("any", "sign", "exponent", "mantissa")
+_LARGEST_SEED = 2**32 - 1
+
+
+def flight_form(service: Service, made: Made) -> None:
+    """Ask for a mission and have it flown."""
+    with ui.element("div").classes("fields"):
+        mission = _choice("Mission", list(_MISSIONS), "scanning")
+        world = _choice("World", world_names(), "sparse")
+        planner = _choice("Planner", sorted(PLANNERS), "rrt_star")
+        seed = _number("Seed", 7, _LARGEST_SEED)
+
+    @told
+    async def fly() -> None:
+        spec = MissionSpec.model_validate(
+            {"mission": mission.value, "world": world.value, "planner": planner.value, "seed": _whole(seed)}
+        )
+        flight = await ask(create_flight, service, NewFlight(mission=spec), Response())
+        made(flight.campaign.campaign)
+
+    ui.button("Fly", icon="flight_takeoff", on_click=fly).classes("submit").props("no-caps")
+
+
+def fault_form(service: Service, campaign: Campaign, made: Made) -> None:
+    """Ask for a fault and inject it into ``campaign`` now."""
+    planner = campaign.spec.mission.planner
+    idle = {name for name in PLANNERS if name != planner} | set(GOAL_KERNELS)
+    kernels = {f"instruction {name}": f"kernel {name}" for name in KERNELS if name not in idle}
+    states = {f"source {name}": f"state {name}" for name in (*GROUPS, *STATES)}
+    with ui.element("div").classes("fields"):
+        target = ui.select({**kernels, **states}, label="Strikes", value="instruction pid", with_input=True)
+        target.props("outlined dense")
+        field = _choice("Bits of", list(_FIELDS), "any")
+        bits = _number("Number of bits", 1, 8, least=1)
+        seed = _number("Seed", 0, _LARGEST_SEED)
+
+    @told
+    async def inject() -> None:
+        level, _, name = str(target.value).partition(" ")
+        fault = FaultSpec.model_validate(
+            {"level": level, "target": name, "field": field.value, "bits": _whole(bits), "seed": _whole(seed)}
+        )
+        flight = await ask(inject_by_hand, service, campaign, HandMadeFault(fault=fault), Response())
+        made(flight.campaign.campaign)
+
+    ui.button("Inject now", icon="bolt", on_click=inject, color="deep-orange-9").classes(
+        "submit inject"
+    ).props("no-caps")
+
+
+def _choice(label: str, options: list[str], value: str) -> ui.select:
+    return ui.select(options, label=label, value=value).props("outlined dense")
+
+
+def _number(label: str, value: int, most: int, least: int = 0) -> ui.number:
+    return ui.number(label, value=value, min=least, max=most, precision=0).props("outlined dense")
+
+
+def _whole(given: ui.number) -> int | None:
+    """What was typed; None, which every specification refuses with the field's name, if nothing was."""
+    return None if given.value is None else int(given.value)

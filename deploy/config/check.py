@@ -1,0 +1,164 @@
+"""The boundary check of a mission: every name in a specification must be declared in its table."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from deploy.config.platform import check_latency, load_platform
+from detector.errors import DetectionInputError
+from detector.schemes.registry import in_flight
+from injector.capabilities import check as preflight
+from injector.isa.host import AbsentError, require
+from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS, aimed_at
+from services.models.inter_kernel_states import GROUPS, STATES, members
+from services.models.mission import FaultSpec, MissionSpec
+from services.models.own_stack import OwnStack, OwnStage
+from services.runtime.source_fault import eligible
+from sim.mission.area import corners
+from sim.vehicle.airframe import airframe
+from sim.world import make_world
+
+
+class BadSpecError(ValueError):
+    """A specification that cannot be flown: one line that names the field and the remedy."""
+
+
+def check(spec: MissionSpec) -> None:
+    """Refuse what cannot be flown, before anything is started.
+
+    :raises BadSpecError: naming the field and what would be right.
+    """
+    _known("planner", spec.planner, PLANNERS)
+    try:
+        world = make_world(spec.world, spec.seed)
+        if spec.mission != "navigation":
+            corners(spec.area, world)
+        airframe(spec.airframe)
+        load_platform(spec.platform)
+        if spec.detector is not None:
+            in_flight(spec.detector)
+            check_latency(spec.platform, spec.detector)
+    except (ValueError, DetectionInputError) as error:
+        raise BadSpecError(str(error)) from error
+    if spec.stack is not None:
+        _check_stack(spec.stack, spec)
+    if spec.fault is not None and spec.fault.level == "source":
+        _check_source(spec.fault)
+    elif spec.fault is not None:
+        _check_instruction(spec.fault, spec)
+
+
+def _check_stack(stack: OwnStack, spec: MissionSpec) -> None:
+    if spec.clock != "lockstep":
+        raise BadSpecError("stack: a stack of one's own flies in virtual time: leave out --clock realtime")
+    for stage, own in stack.stages.items():
+        if digest_of(own.command, Path(own.folder)) != own.sha256:
+            message = f"stack: {stage}: {own.command[0]} is not what it was when it was specified"
+            raise BadSpecError(message)
+
+
+def digest_of(command: Sequence[str], folder: Path) -> str:
+    """SHA-256 of a command's executable and of whatever else in it is a file, one after the other.
+
+    :raises BadSpecError: if it cannot be run.
+    """
+    digest = hashlib.sha256()
+    for number, word in enumerate(command):
+        file = folder / word
+        if number and not file.is_file():
+            continue
+        try:
+            content = file.read_bytes()
+        except OSError as error:
+            message = f"stack: {file}: {error.strerror}"
+            raise BadSpecError(message) from error
+        if not number and not (content.startswith(b"\x7fELF") and os.access(file, os.X_OK)):
+            message = f"stack: {file} is no program that can be run"
+            raise BadSpecError(message)
+        digest.update(content)
+    return digest.hexdigest()
+
+
+def _check_source(fault: FaultSpec) -> None:
+    _known("inter-kernel state", fault.target, [*STATES, *GROUPS])
+    for state in members(fault.target):
+        if not eligible(fault, state):
+            kind = f"{state.width_bits}-bit {'floating-point' if state.floating else 'integer'} number"
+            message = f"fault: {state.name} is a {kind}: it has no such bits"
+            raise BadSpecError(message)
+
+
+def _check_instruction(fault: FaultSpec, spec: MissionSpec) -> None:
+    target = fault.target
+    own = spec.own_stage(aimed_at(fault))
+    if own is not None:
+        _check_program(fault, own)
+        return
+    check_kernel(target)
+    if target in PLANNERS and target != spec.planner:
+        message = f"kernel {target!r} never runs with planner {spec.planner!r}: choose --planner {target}"
+        raise BadSpecError(message)
+    if target in GOAL_KERNELS.values() and target != GOAL_KERNELS.get(spec.mission):
+        message = f"kernel {target!r} never runs in mission {spec.mission!r}"
+        raise BadSpecError(message)
+    check_machine(fault)
+
+
+def _check_program(fault: FaultSpec, own: OwnStage) -> None:
+    stage = aimed_at(fault)
+    if fault.target != stage:
+        message = f"kernel {fault.target!r} never runs: the stack has a program for {stage}; strike {stage!r}"
+        raise BadSpecError(message)
+    if not own.function:
+        message = f"stack: {stage} names no function, so no instruction of it can be struck"
+        raise BadSpecError(message)
+    if fault.scope != "thread":
+        raise BadSpecError("fault: scope kernel goes with our own kernels; of a program, the call is struck")
+    check_machine(fault)
+
+
+def check_machine(fault: FaultSpec) -> None:
+    """Refuse an instruction-level fault that this machine cannot inject.
+
+    :raises BadSpecError: naming what it lacks and the remedy.
+    """
+    try:
+        require(fault)
+    except AbsentError as error:
+        raise BadSpecError(str(error)) from error
+    for finding in preflight():
+        if not finding.ok:
+            message = f"cannot inject: {finding.name}: {finding.remedy}"
+            raise BadSpecError(message)
+
+
+def check_kernel(name: str) -> None:
+    """Refuse a name that is no kernel's.
+
+    :raises BadSpecError: naming those that are.
+    """
+    _known("kernel", name, KERNELS)
+
+
+def _known(what: str, name: str, table: Iterable[str]) -> None:
+    names = list(table)
+    if name not in names:
+        message = f"unknown {what} {name!r}; known: {', '.join(names)}"
+        raise BadSpecError(message)
+
+
+def one_line(error: ValidationError) -> str:
+    """The first thing that is wrong, as ``field: what (value)``."""
+    first = error.errors()[0]
+    # Which form a field has and which kind of world it is goes without saying.
+    where = ".".join(str(part) for part in first["loc"] if part != "definition") or "specification"
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    value = first.get("input")
+    given = f", got {value!r}" if isinstance(value, (str, int, float)) else ""
+    what = first["msg"].removeprefix("Value error, ")
+    return f"{where}: {what}{given}{more}"

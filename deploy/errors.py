@@ -1,0 +1,5 @@
+"""Errors of the infrastructure: they are raised, and never become part of an outcome."""
+
+
+class InfrastructureError(Exception):
+    """A process, file or connection of ours has failed. The run may be flown again."""

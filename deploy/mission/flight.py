@@ -1,0 +1,167 @@
+"""Fly one mission: start its processes, record its messages, restart crashed nodes, build its outcome."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from deploy.config.workdir import mission_folder
+from deploy.errors import InfrastructureError
+from deploy.mission.fork_server import ForkServer
+from deploy.mission.listening import MissionBus
+from deploy.mission.outcome import MissionEnd, mission_outcome
+from deploy.mission.restarts import POLL_S, RestartPolicy
+from deploy.mission.setups import NodeSetups
+from deploy.mission.supervisor import Supervisor
+from deploy.recording.mcap_recorder import MessageTap
+from deploy.recording.ordering import MessageOrder, SentMessage
+from deploy.recording.recorder import FlightRecorder, FlightTrace
+from services.bus import session
+from services.bus.horizon import Stamped
+from services.kernels import aimed_at
+from services.models.mission import MissionSpec
+from services.models.outcome import Outcome
+from services.runtime.clock import FlightClock
+from services.runtime.node import DETECTOR
+
+STALL_S = 20.0
+"""Wall time without a message or promise after which somebody must be hanging outside a step."""
+
+GRACE_S = 2.0
+"""Longest wait for the processes to end by themselves after the mission."""
+
+
+@dataclass(frozen=True, slots=True)
+class FlownMission:
+    """An outcome with the trace that a golden twin is compared by, and the messages if they were kept."""
+
+    outcome: Outcome
+    trace: FlightTrace
+    messages: Mapping[str, Sequence[Stamped]] | None = None
+    late: int = 0
+
+
+Watch = Callable[[MissionSpec, FlightRecorder], None]
+"""Is given the recorder of each flight as it begins, to look into from another thread."""
+
+
+def fly(
+    spec: MissionSpec,
+    server: ForkServer,
+    *,
+    keep_messages: bool = False,
+    watch: Watch | None = None,
+    taps: Sequence[MessageTap] = (),
+) -> FlownMission:
+    """Fly one mission on a fork server; a pure function of ``spec`` as far as virtual time goes.
+
+    ``keep_messages`` gives the caller every recorded message up to the end of the mission, by topic; ``taps``
+    are given the same meanwhile, and injection and alarms, in the order of virtual time.
+
+    :raises InfrastructureError: if the infrastructure failed. A crashed vehicle or node returns normally.
+    """
+    begin = time.monotonic()
+    recorder = FlightRecorder()
+    if watch is not None:
+        watch(spec, recorder)
+    with mission_folder() as folder:
+        address = session.BusAddress(folder, f"zenfi/{folder.name}")
+        clock = address.clock if spec.clock == "realtime" else None
+        if clock is not None:
+            FlightClock.create(clock)
+        with session.open_session(address, "router", router=True) as bus:
+            held = spec.fault is not None or spec.detector is not None
+            order = MessageOrder(recorder, held=held, realtime=clock is not None)
+            listening = MissionBus(bus, recorder, order)
+            supervisor = Supervisor(server, address, spec.limits.hang_cpu_s)
+            try:
+                mission = _Mission(spec, server, supervisor, listening, clock)
+                flown = mission.fly(order, taps, keep_messages=keep_messages)
+            finally:
+                supervisor.close()
+    # All that a flight takes, its end included.
+    outcome = flown.outcome.model_copy(update={"wall_s": time.monotonic() - begin})
+    return replace(flown, outcome=outcome)
+
+
+class _Mission:
+    """The loop of one mission over its messages and its processes."""
+
+    def __init__(
+        self,
+        spec: MissionSpec,
+        server: ForkServer,
+        supervisor: Supervisor,
+        bus: MissionBus,
+        clock: Path | None,
+    ) -> None:
+        self._spec = spec
+        self._server = server
+        self._supervisor = supervisor
+        self._bus = bus
+        self._end = MissionEnd()
+        self._setups = NodeSetups(spec, server.stack, clock)
+        self._restarts = RestartPolicy(spec, supervisor, self._setups, bus, self._end)
+
+    def fly(self, order: MessageOrder, taps: Sequence[MessageTap], *, keep_messages: bool) -> FlownMission:
+        """Fly from the start of the processes to their end."""
+        bus, recorder, end = self._bus, self._bus.recorder, self._end
+        for process in self._setups.processes:
+            self._supervisor.start(process, self._setups.of(process))
+        self._run(order, taps)
+        self._restarts.await_dead_detector()
+        self._supervisor.end(GRACE_S, lambda: bus.take_in(0.001))
+        if self._server.is_lost():  # and has taken with it what nodes had still to count
+            raise InfrastructureError("the fork server was lost in mid flight")
+        _offer(taps, order.rest(end.time_ns))
+        trace = recorder.trace(end.time_ns)
+        outcome = mission_outcome(
+            self._spec, end, trace, bus, self._supervisor.members, fixed_pids=self._server.fixed_pids
+        )
+        messages = recorder.until(end.time_ns) if keep_messages else None
+        return FlownMission(outcome, trace, messages, order.late)
+
+    def _run(self, order: MessageOrder, taps: Sequence[MessageTap]) -> None:
+        """Handle messages and processes until all up to the mission's end is recorded."""
+        bus, recorder, end = self._bus, self._bus.recorder, self._end
+        last_look = bus.last_message_s = time.monotonic()
+        while end.result is None or not recorder.complete(end.time_ns):
+            if bus.take_in(POLL_S):
+                end.look(recorder)
+                if taps:
+                    _offer(taps, order.take(end.time_ns))
+            if time.monotonic() - last_look > POLL_S:
+                last_look = time.monotonic()
+                self._restarts.handle_deaths()
+                self._supervisor.kill_hung()
+                if last_look - bus.last_message_s > STALL_S:
+                    self._handle_stall()
+                    bus.last_message_s = last_look
+            if end.result == "stack_failure":
+                return
+
+    def _handle_stall(self) -> None:
+        """Kill the process that keeps all others waiting without computing.
+
+        :raises InfrastructureError: if none is to blame.
+        """
+        members = self._supervisor.members
+        if any(one.alive and one.stats.page["gated"] for one in members.values()):
+            return  # probes are under way; should the injector die of it, that is noticed
+        if any(one.alive and one.stats.page["asking"] for one in members.values()):
+            # It hangs without computing, as when it was stopped: the stage that asks would wait for ever.
+            self._supervisor.kill_as_hung(members[DETECTOR])
+            return
+        fault = self._spec.fault
+        if fault is None or not members[aimed_at(fault)].alive:
+            tails = "; ".join(f"{one.process.name}: {one.log_tail}" for one in members.values())
+            message = f"no process sent a message for {STALL_S:.0f} s ({tails})"
+            raise InfrastructureError(message)
+        self._supervisor.kill_as_hung(members[aimed_at(fault)])
+
+
+def _offer(taps: Sequence[MessageTap], batch: Sequence[SentMessage]) -> None:
+    for tap in taps if batch else ():
+        tap.offer(batch)

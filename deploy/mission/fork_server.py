@@ -1,0 +1,169 @@
+"""A clean fork server: imports once what every node needs, then forks a node in a few milliseconds.
+
+This is the supervisor's end; the server's own process is :mod:`deploy.mission.zygote`. It dies with the
+process that started it, and every node and proxy dies with it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from deploy.config.processes import STACK, ProcessDeclaration
+from deploy.mission.zygote import EXIT_REAPER, MESSAGE_SIZE, ZENOH_RUNTIME, server_argument
+from injector.reproducible import launch
+from services.bus.session import BusAddress
+from services.runtime.setup import NodeSetup
+from services.system.shared_stats import SharedStats
+
+_GONE = "the fork server is gone"
+
+
+class ForkServerError(Exception):
+    """The fork server did not start or is gone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Forked:
+    """A process that was forked; ``pidfd`` is the caller's to close."""
+
+    pid: int
+    pidfd: int
+
+
+@dataclass(frozen=True, slots=True)
+class Exited:
+    """A process's end: ``status`` as of :func:`os.waitstatus_to_exitcode` (negative: the signal)."""
+
+    pid: int
+    status: int
+
+
+class ForkServer:
+    """Starts the fork server, has processes forked and collects their exits."""
+
+    def __init__(self, stack: Mapping[str, ProcessDeclaration] = STACK) -> None:
+        self.stack = stack
+        orders, self._orders = os.pipe()
+        side_orders, self._side_orders = os.pipe()
+        self.socket, papers = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        # A session of its own: Ctrl-C at the terminal is the supervisor's business.
+        self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
+            launch.command("deploy.mission.zygote", server_argument(os.getpid())),
+            env=launch.environment(os.environ) | {"ZENOH_RUNTIME": ZENOH_RUNTIME},
+            start_new_session=True,
+            stdin=papers.fileno(),
+        )
+        papers.close()
+        self._reapers: dict[int, int] = {}
+        self._statuses: dict[int, int] = {}
+        nodes, sidecars = (
+            {process.name: process.module for process in stack.values() if process.sidecar == sidecar}
+            for sidecar in (False, True)
+        )
+        socket.send_fds(self.socket, [json.dumps([nodes, sidecars]).encode()], [orders, side_orders])
+        os.close(orders)
+        os.close(side_orders)
+        try:
+            started = self.socket.recv(MESSAGE_SIZE)
+        except ConnectionResetError:  # it ended before it had read what it is to import
+            started = b""
+        if not started:
+            self.close()
+            raise ForkServerError("the fork server did not start")
+        self.fixed_pids = bool(json.loads(started)["fixed_pids"])
+        """Whether nodes have the same pids in every flight (:mod:`injector.reproducible.pid_namespace`)."""
+
+    @property
+    def pid(self) -> int:
+        """The server's pid, whose descendants all nodes are."""
+        return self._process.pid
+
+    def is_lost(self, within_s: float = 0.0) -> bool:
+        """Whether nobody takes orders for nodes, or none for sidecars, any more, now or ``within_s``."""
+        return bool(self._loss().poll(within_s * 1000))
+
+    def _loss(self) -> select.poll:
+        """A poll object that reports POLLERR once no process reads either kind of orders any more."""
+        poll = select.poll()
+        for orders in (self._orders, self._side_orders):
+            poll.register(orders, 0)
+        return poll
+
+    def spawn(
+        self, setup: NodeSetup, address: BusAddress, stats: SharedStats, log: int, tracer_pid: int
+    ) -> Forked:
+        """Fork a process. ``log`` takes its output, ``tracer_pid`` (0: nobody) may trace it."""
+        sidecar = self.stack[setup.name].sidecar
+        order = {
+            "setup": setup.model_dump_json(),
+            "meeting": json.dumps([str(address.folder), address.namespace]),
+            "sidecar": sidecar,
+            "tracer_pid": tracer_pid,
+        }
+        try:
+            os.write(self._side_orders if sidecar else self._orders, b"+")
+            socket.send_fds(self.socket, [json.dumps(order).encode()], [stats.descriptor, log])
+        except (BrokenPipeError, ConnectionResetError) as error:
+            raise ForkServerError(_GONE) from error
+        said = self._loss()
+        said.register(self.socket, select.POLLIN)
+        while said.poll() and _ready(self.socket.fileno()):
+            forked = self._receive()
+            if forked is not None:
+                return forked
+        raise ForkServerError(_GONE)
+
+    def _receive(self) -> Forked | None:
+        """Take in a reaper's message: what it has forked, or its process's end."""
+        try:
+            data, descriptors, _, _ = socket.recv_fds(self.socket, MESSAGE_SIZE, 2)
+        except ConnectionResetError as error:  # it had not read all that was sent
+            raise ForkServerError(_GONE) from error
+        if not data:
+            raise ForkServerError(_GONE)
+        message = json.loads(data)
+        pid = int(message["pid"])
+        if "status" in message:
+            self._statuses[pid] = int(message["status"])
+            return None
+        pidfd, self._reapers[pid] = descriptors
+        return Forked(pid, pidfd)
+
+    def exits(self) -> list[Exited]:
+        """The processes that ended since the last call, their reapers too; does not block."""
+        ended = [pid for pid, reaper in self._reapers.items() if _ready(reaper)]
+        while _ready(self.socket.fileno()):
+            self._receive()
+        for pid in ended:
+            os.close(self._reapers.pop(pid))
+        # A reaper that ended without a word has failed.
+        return [Exited(pid, self._statuses.pop(pid, EXIT_REAPER)) for pid in ended]
+
+    def discard(self, pid: int) -> None:
+        """Kill a process and its reaper, which would wait for all of its messages to be recorded."""
+        with contextlib.suppress(ProcessLookupError, KeyError):
+            signal.pidfd_send_signal(self._reapers[pid], signal.SIGKILL)
+
+    def close(self) -> None:
+        """End the server, and with it every process that still runs."""
+        os.close(self._orders)
+        os.close(self._side_orders)
+        self.socket.close()
+        for reaper in self._reapers.values():
+            os.close(reaper)
+        self._process.wait()
+
+
+def _ready(descriptor: int) -> bool:
+    """Whether there is something to read; of a pidfd, whether the process has ended."""
+    poll = select.poll()
+    poll.register(descriptor, select.POLLIN)
+    return bool(poll.poll(0))

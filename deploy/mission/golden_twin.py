@@ -1,0 +1,164 @@
+"""Pairing: every injected flight has a golden twin, the same flight without the fault.
+
+The twin serves three ends: the moment of the fault is drawn over what it computed, the statistics are
+paired with it, and what differs from it is silent data corruption.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from deploy.mission.flight import FlownMission, Watch, fly
+from deploy.mission.fork_server import ForkServer
+from deploy.recording.live_feed import LiveFeed
+from deploy.recording.mcap_recorder import McapRecorder, MessageTap
+from deploy.recording.propagation import propagation
+from services.bus.topics import RECORDED, published_by
+from services.kernels import aimed_at
+from services.models.inter_kernel_states import members
+from services.models.mission import FaultSpec, MissionSpec, Trigger
+from services.models.outcome import GoldenTwin, NodeReport, Outcome
+from services.runtime import rng
+
+TWINS_KEPT = 16
+
+
+class NothingToInjectError(ValueError):
+    """The golden twin never ran the kernel that the fault is aimed at."""
+
+
+class PairFlyer:
+    """Flies missions, each faulty one beside its golden twin; a twin flies once for all its faults."""
+
+    def __init__(self, server: ForkServer, watch: Watch | None = None) -> None:
+        self._server = server
+        self._watch = watch
+        self._live: Path | None = None
+        self._twins: OrderedDict[str, FlownMission] = OrderedDict()
+
+    def fly(
+        self,
+        spec: MissionSpec,
+        record: Path | None = None,
+        about: Mapping[str, str] | None = None,
+        live: Path | None = None,
+    ) -> Outcome:
+        """The outcome of ``spec``; with a fault, compared with its golden twin.
+
+        Recorded to a file, if one is named, with what ``about`` says; then it also says how the error
+        propagated. ``live`` is the socket of who shows flights while they are flown.
+
+        :raises NothingToInjectError: if the twin never runs the fault's kernel.
+        """
+        self._live = live
+        if spec.fault is None:
+            if record is None:
+                return self._golden(spec).outcome
+            with McapRecorder(record, spec, about) as recording:
+                return _with_report(self._golden(spec, recording), recording).outcome
+        twin = self._golden(spec.model_copy(update={"fault": None}), keep=record is not None)
+        fault = spec.fault
+        if fault.trigger is None or not fault.trigger.names_a_call:
+            fault = fault.model_copy(update={"trigger": draw_call(fault, twin.outcome)})
+        spec = spec.model_copy(update={"fault": fault})
+        if record is None:
+            return compare(self._fly(spec), twin)
+        with McapRecorder(record, spec, about) as recording:
+            return compare(_with_report(self._fly(spec, recording), recording), twin)
+
+    def _golden(
+        self, spec: MissionSpec, recording: McapRecorder | None = None, *, keep: bool = False
+    ) -> FlownMission:
+        key, keep = spec.model_dump_json(), keep or recording is not None
+        known = self._twins.get(key)
+        if known is not None and known.messages is not None and recording is not None:
+            recording.copy(known.messages)
+        elif known is None or (keep and known.messages is None):
+            self._twins[key] = self._fly(spec, *([] if recording is None else [recording]), keep=keep)
+            if len(self._twins) > TWINS_KEPT:
+                self._twins.popitem(last=False)
+        return self._twins[key]
+
+    def _fly(self, spec: MissionSpec, *taps: MessageTap, keep: bool = False) -> FlownMission:
+        keep = keep or bool(taps)
+        with ExitStack() as stack:
+            if self._live is not None:
+                taps = (*taps, stack.enter_context(LiveFeed(self._live, spec)))
+            return fly(spec, self._server, keep_messages=keep, watch=self._watch, taps=taps)
+
+
+def _with_report(flight: FlownMission, recording: McapRecorder) -> FlownMission:
+    """The flight with the report of its recording."""
+    report = recording.finish(flight.outcome).model_copy(update={"late": flight.late})
+    return replace(flight, outcome=flight.outcome.model_copy(update={"recording": report}))
+
+
+def draw_call(fault: FaultSpec, golden: Outcome) -> Trigger:
+    """Draw the call or message in which the fault strikes, over the golden twin's or its flight time.
+
+    :raises NothingToInjectError: if the golden twin never ran the kernel.
+    """
+    draw = rng.generator(golden.spec.seed, f"trigger {fault.target}", fault.seed)
+    if fault.level == "source":
+        messages = golden.topics[members(fault.target)[0].topic].messages
+        if not messages:
+            message = f"the golden flight never publishes {fault.target}: nothing to inject into"
+            raise NothingToInjectError(message)
+        return _drawn(fault, golden, draw, messages)
+    use = golden.nodes[aimed_at(fault)].kernels.get(fault.target)
+    if use is None:
+        message = f"the golden flight never runs {fault.target}: nothing to inject into"
+        raise NothingToInjectError(message)
+    trigger = _drawn(fault, golden, draw, use.invocations)
+    if golden.spec.clock == "realtime" and trigger.site is None and trigger.cpu_ns is None:
+        # No probes are sent ahead: meanwhile the flight would go on.
+        mean_ns = use.cpu_ns / use.invocations
+        trigger = trigger.model_copy(update={"cpu_ns": int(draw.random() * mean_ns)})
+    return trigger
+
+
+def _drawn(fault: FaultSpec, golden: Outcome, draw: np.random.Generator, times: int) -> Trigger:
+    """The trigger with one of so many calls or messages, or a moment of the flight."""
+    wanted = fault.trigger if fault.trigger is not None else Trigger()
+    if wanted.over == "time":
+        moment = {"after_ns": int(draw.random() * golden.qof.flight_time_s * 1e9)}
+    else:
+        moment = {"invocation": int(draw.integers(times))}
+    return wanted.model_copy(update=moment)
+
+
+def compare(flight: FlownMission, twin: FlownMission) -> Outcome:
+    """The faulty flight's outcome compared with its golden twin: divergence, benign or SDC.
+
+    In real time no two flights have the same messages: there only the qualities of flight are compared.
+    """
+    repeats = flight.outcome.spec.clock == "lockstep"
+    pair = twin.trace if repeats else None
+    topics = {topic.name: flight.trace.report(topic.name, pair) for topic in RECORDED}
+
+    def judged(stage: str, report: NodeReport) -> NodeReport:
+        if report.result in ("crash", "hang"):
+            return report
+        if not repeats:
+            return report.model_copy(update={"result": "unpaired"})
+        strayed = any(topics[topic.name].diverged_at_s is not None for topic in published_by(stage))
+        return report.model_copy(update={"result": "sdc" if strayed else "benign"})
+
+    golden = twin.outcome
+    passed_on = None
+    if repeats and flight.messages is not None and twin.messages is not None:
+        passed_on = propagation(flight.messages, twin.messages, flight.outcome.injection)
+    return flight.outcome.model_copy(
+        update={
+            "topics": topics,
+            "nodes": {stage: judged(stage, report) for stage, report in flight.outcome.nodes.items()},
+            "golden": GoldenTwin(result=golden.result, qof=golden.qof, digest=golden.digest),
+            "propagation": passed_on,
+        }
+    )

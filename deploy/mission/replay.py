@@ -1,0 +1,92 @@
+"""Replay: an injected flight flown again, struck at the same dynamic instruction, and compared."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from deploy.config.check import BadSpecError
+from deploy.mission.flight import fly
+from deploy.mission.fork_server import ForkServer
+from services.models.base import Strict
+from services.models.outcome import InjectionRecord, Outcome
+
+_SAME = (
+    *("status", "precision", "kernel", "invocation", "virtual_time_ns"),
+    *("module", "build_id", "offset", "symbol"),
+    *("instruction_bytes", "operand", "register_name", "width_bits", "bits", "address", "resampled"),
+    *("model", "scope", "element_bits", "instruction_after", "held_instructions", "state", "point"),
+    *("before", "after", "read_back"),
+)
+
+
+class Replay(Strict):
+    """The result of a replay: whether the flight was repeated, and what differs.
+
+    ``replayed``: same record, same outcome. ``diverged``: the site looked otherwise and nothing was
+    flipped, or what followed differs. ``not_reached``: the call was over, or never came, before the site.
+    """
+
+    answer: Literal["replayed", "diverged", "not_reached"]
+    differences: list[str] = []
+
+
+def replay(first: Outcome, server: ForkServer) -> Replay:
+    """Fly the mission of ``first`` again and compare both flights.
+
+    :raises BadSpecError: if it does not say at which instruction its fault struck.
+    :raises InfrastructureError: if the infrastructure failed.
+    """
+    record, reason = first.injection, refusal(first)
+    if record is None or reason:
+        raise BadSpecError(reason)
+    again = fly(first.spec, server).outcome
+    repeated = again.injection
+    if repeated is not None and repeated.status != record.status:
+        answer: Literal["diverged", "not_reached"] = (
+            "not_reached" if repeated.status == "not_reached" else "diverged"
+        )
+        return Replay(answer=answer, differences=[repeated.reason or f"the fault is {repeated.status}"])
+    return compare(first, again)
+
+
+def refusal(first: Outcome) -> str:
+    """Why a flight cannot be replayed; empty if it can."""
+    record = first.injection
+    if record is None:
+        return "nothing to replay: no fault was injected in this flight"
+    if first.spec.clock == "realtime":
+        return "nothing to replay: a flight in real time does not repeat"
+    if not record.state and (record.trigger is None or record.trigger.site is None):
+        how = f"precision {record.precision}"
+        return f"nothing to replay: the fault is {record.status} and has no site ({how})"
+    return ""
+
+
+def compare(first: Outcome, again: Outcome) -> Replay:
+    """Compare two flights' records and outcomes, wall times and pids aside."""
+    before, after = _repeatable(first), _repeatable(again)
+    differences = [
+        f"{name}: {before[name]} then, {after[name]} now" for name in before if before[name] != after[name]
+    ]
+    return Replay(answer="diverged" if differences else "replayed", differences=differences)
+
+
+def _repeatable(outcome: Outcome) -> dict[str, Any]:
+    """The parts of an outcome that must be the same in every repetition."""
+    found: dict[str, Any] = {"result": outcome.result, "digest": outcome.digest, "qof": outcome.qof}
+    for stage, report in outcome.nodes.items():
+        found[f"{stage}'s end"] = (report.crashes, report.hangs, report.causes)
+    record = outcome.injection
+    if record is not None:
+        found |= {name: getattr(record, name) for name in _SAME}
+        found |= _site(record)
+    return found
+
+
+def _site(record: InjectionRecord) -> dict[str, Any]:
+    site = record.trigger.site if record.trigger is not None else None
+    return (
+        {}
+        if site is None
+        else {"instruction at the site": site.code, "registers at the site": site.registers}
+    )

@@ -1,0 +1,74 @@
+"""The setup of each process of a mission: its part of the specification, and latencies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from deploy.config.platform import check_latency, load_platform
+from deploy.config.processes import ProcessDeclaration
+from services.kernels import KERNELS
+from services.models.mission import MissionSpec, Trigger
+from services.models.platform import KernelLatency
+from services.runtime.node import DETECTOR
+from services.runtime.setup import NodeSetup
+
+
+def spec_for_stages(spec: MissionSpec) -> MissionSpec:
+    """The specification with no more of the injection point than the call that is struck.
+
+    A replay knows the instruction, too, but its nodes must begin with the same memory as the first time.
+    """
+    fault = spec.fault
+    if fault is None or fault.trigger is None or fault.level != "instruction":
+        return spec
+    after_ns = fault.trigger.after_ns
+    call = Trigger(after_ns=after_ns, invocation=fault.trigger.invocation if after_ns is None else None)
+    return spec.model_copy(update={"fault": fault.model_copy(update={"trigger": call})})
+
+
+class NodeSetups:
+    """The processes that a mission needs of a ``stack``, in the order of their start, and their setups.
+
+    ``clock`` is the page of the flight's clock in real time, None in virtual time.
+    """
+
+    def __init__(
+        self, spec: MissionSpec, stack: Mapping[str, ProcessDeclaration], clock: Path | None
+    ) -> None:
+        self._spec = spec
+        self._clock = clock
+        fault, detector = spec.fault, spec.detector
+        injector_needed = fault is not None and fault.level == "instruction"
+        self.processes = [
+            one
+            for one in stack.values()
+            if (injector_needed or not one.with_fault) and (detector is not None or not one.with_detector)
+        ]
+        self.names = [process.name for process in self.processes]
+        self._latencies: Mapping[str, KernelLatency] = load_platform(spec.platform).kernels
+        if detector is not None:
+            check = check_latency(spec.platform, detector)
+            self._latencies = {**self._latencies, DETECTOR: check}
+        if spec.stack is not None:
+            for stage, own in spec.stack.stages.items():
+                self._latencies = {**self._latencies, stage: own.latency}
+
+    def of(self, process: ProcessDeclaration) -> NodeSetup:
+        """The setup of a process that starts for the first time."""
+        return NodeSetup(
+            name=process.name,
+            spec=self._spec if process.sidecar else spec_for_stages(self._spec),
+            kernels=self._kernels(process.name),
+            latencies=dict(self._latencies),
+            expected=self.names,
+            clock=self._clock,
+        )
+
+    def _kernels(self, name: str) -> list[str]:
+        """What is counted and timed in a node: of the detector its scheme, of an executable all it does."""
+        if name == DETECTOR and self._spec.detector is not None:
+            return [self._spec.detector.scheme]
+        if self._spec.own_stage(name) is not None:
+            return [name]
+        return [kernel.name for kernel in KERNELS.values() if kernel.stage == name]

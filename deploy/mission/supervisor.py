@@ -1,0 +1,209 @@
+"""The processes of one mission: started, watched, counted, ended.
+
+The supervisor knows processes and their stats, not messages: what a death means for the flight is
+decided in ``deploy/mission/restarts.py``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from deploy.config.processes import ProcessDeclaration
+from deploy.errors import InfrastructureError
+from deploy.mission.fork_server import Exited, ForkServer
+from deploy.mission.zygote import EXIT_BUG, EXIT_REAPER
+from services.bus.session import BusAddress
+from services.models.outcome import KernelUse, NodeReport, NodeResult
+from services.runtime.setup import NodeSetup
+from services.system.process_stat import main_thread_stat
+from services.system.shared_stats import SharedStats
+
+STOP_S = 5.0
+"""Longest wait for what was killed to be gone."""
+
+
+@dataclass
+class SupervisedNode:
+    """One process of the mission over all its restarts."""
+
+    process: ProcessDeclaration
+    stats: SharedStats
+    log: Path
+    kernels: list[str]
+    pid: int = 0
+    pidfd: int = -1
+    life: int = -1
+    alive: bool = False
+    crashes: int = 0
+    hangs: int = 0
+    killed_for_hanging: bool = False
+    causes: list[str] = field(default_factory=list)
+    watched_step: tuple[int, int] = (-1, -1)
+    cpu_at_step_s: float = 0.0
+
+    def kill(self) -> None:
+        """Kill the process; never another one that got its pid."""
+        with contextlib.suppress(ProcessLookupError):
+            signal.pidfd_send_signal(self.pidfd, signal.SIGKILL)
+
+    def buried(self) -> None:
+        """Note that the process has ended and was reaped."""
+        self.alive = False
+        os.close(self.pidfd)
+
+    @property
+    def log_tail(self) -> str:
+        """The last line that the process wrote."""
+        lines = self.log.read_text(errors="replace").strip().splitlines() if self.log.exists() else []
+        return lines[-1] if lines else "no output"
+
+    def report(self, result: NodeResult) -> NodeReport:
+        """The node's report for the outcome."""
+        page = self.stats.page
+        return NodeReport(
+            result=result,
+            crashes=self.crashes,
+            hangs=self.hangs,
+            restarts=max(self.life, 0),
+            causes=self.causes,
+            steps=int(page["steps"]),
+            dropped=int(page["dropped"]),
+            late=int(page["late"]),
+            malformed=int(page["malformed"] + page["unreadable"]),
+            outdated=int(page["outdated"] + page["doubled"]),
+            alarms=int(page["alarms"]),
+            recomputed=int(page["recomputed"]),
+            ungated=int(page["ungated"]),
+            compute_s=int(page["compute_wall_ns"]) / 1e9,
+            messaging_s=int(page["messaging_wall_ns"]) / 1e9,
+            waiting_s=int(page["waiting_wall_ns"]) / 1e9,
+            kernels={
+                name: KernelUse(
+                    invocations=int(page["invocations"][i]),
+                    cpu_ns=int(page["cpu_ns"][i]),
+                    cpu_squares_ns2=float(page["cpu_squares_ns2"][i]),
+                )
+                for i, name in enumerate(self.kernels)
+                if page["invocations"][i]
+            },
+        )
+
+
+class Supervisor:
+    """Starts the processes of a mission on a fork server and watches them."""
+
+    def __init__(self, server: ForkServer, address: BusAddress, hang_cpu_s: float) -> None:
+        self._server = server
+        self._address = address
+        self._hang_cpu_s = hang_cpu_s
+        self.members: dict[str, SupervisedNode] = {}
+        self._tracer_pid = 0
+
+    def start(self, process: ProcessDeclaration, setup: NodeSetup) -> SupervisedNode:
+        """Start a process, for the first time or again."""
+        member = self.members.get(process.name)
+        if member is None:
+            log = self._address.folder / f"{process.name}.log"
+            member = SupervisedNode(process, SharedStats.create(process.name), log, setup.kernels)
+            self.members[process.name] = member
+        descriptor = os.open(member.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+        try:
+            forked = self._server.spawn(setup, self._address, member.stats, descriptor, self._tracer_pid)
+        finally:
+            os.close(descriptor)
+        member.pid, member.pidfd = forked.pid, forked.pidfd
+        member.life = setup.life
+        member.alive = True
+        if process.with_fault:
+            self._tracer_pid = member.pid
+        return member
+
+    def deaths(self) -> list[tuple[SupervisedNode, Exited]]:
+        """The members that ended since the last call, crashes and hangs counted."""
+        by_pid = {member.pid: member for member in self.members.values()}
+        ended = []
+        for exited in self._server.exits():
+            member = by_pid.get(exited.pid)
+            if member is None or not member.alive:
+                continue
+            member.buried()
+            if exited.status == EXIT_REAPER:
+                message = f"the proxy of {member.process.name} failed: {member.log_tail}"
+                raise InfrastructureError(message)
+            if exited.status != 0:
+                self._count(member, exited.status)
+            ended.append((member, exited))
+        return ended
+
+    def _count(self, member: SupervisedNode, status: int) -> None:
+        if member.killed_for_hanging:
+            member.hangs += 1
+            member.causes.append("hang")
+            member.killed_for_hanging = False
+            return
+        member.crashes += 1
+        if status == EXIT_BUG:
+            member.causes.append(member.log_tail)
+        else:
+            member.causes.append(signal.Signals(-status).name if status < 0 else f"exit status {status}")
+
+    def kill_hung(self) -> None:
+        """Kill the nodes whose present step has used more thread time than a hang is granted.
+
+        Thread time, not wall time: a loaded machine makes nobody hang.
+        """
+        for member in self.members.values():
+            page = member.stats.page
+            if not (member.alive and page["computing"]):
+                member.watched_step = (-1, -1)
+                continue
+            step = (member.life, int(page["steps"]))
+            used_s = thread_cpu_s(int(page["program"]) or member.pid)
+            if step != member.watched_step:
+                member.watched_step, member.cpu_at_step_s = step, used_s
+            elif used_s - member.cpu_at_step_s > self._hang_cpu_s:
+                self.kill_as_hung(member)
+
+    def kill_as_hung(self, member: SupervisedNode) -> None:
+        """Kill a node; its end will be counted as a hang."""
+        if member.alive:
+            member.killed_for_hanging = True
+            member.kill()
+
+    def end(self, grace_s: float, meanwhile: Callable[[], object]) -> None:
+        """Wait for the members to end by themselves, calling ``meanwhile`` again and again; kill the rest."""
+        deadline = time.monotonic() + grace_s
+        while any(member.alive for member in self.members.values()):
+            if time.monotonic() > deadline:
+                for member in self.members.values():
+                    if member.alive:
+                        member.kill()
+                deadline = float("inf")
+            for exited in self._server.exits():
+                for member in self.members.values():
+                    if member.alive and member.pid == exited.pid:
+                        member.buried()
+            meanwhile()
+
+    def close(self) -> None:
+        """Kill all processes that are left and free their shared pages."""
+        for member in self.members.values():
+            if member.alive:
+                self._server.discard(member.pid)
+        self.end(STOP_S, lambda: time.sleep(0.001))
+        for member in self.members.values():
+            member.stats.close()
+
+
+def thread_cpu_s(pid: int) -> float:
+    """User and system time of a process's main thread, 0 if it is gone."""
+    try:
+        return main_thread_stat(pid).cpu_s
+    except OSError:
+        return 0.0

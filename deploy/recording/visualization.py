@@ -1,0 +1,174 @@
+"""Messages for viewers: standard messages made from a flight's own, only when they are recorded.
+
+Frames: ``map`` the world, ``body`` the vehicle, ``camera`` its camera (z forwards, x right, as ROS has it).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from rosbags.typesys.stores.ros2_jazzy import builtin_interfaces__msg__Duration as Duration
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__PoseStamped as PoseStamped
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Transform as Transform
+from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__TransformStamped as TransformStamped
+from rosbags.typesys.stores.ros2_jazzy import nav_msgs__msg__Path as Path
+from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__CompressedImage as CompressedImage
+from rosbags.typesys.stores.ros2_jazzy import std_msgs__msg__ColorRGBA as Colour
+from rosbags.typesys.stores.ros2_jazzy import tf2_msgs__msg__TFMessage as Transforms
+from rosbags.typesys.stores.ros2_jazzy import visualization_msgs__msg__Marker as Marker
+from rosbags.typesys.stores.ros2_jazzy import visualization_msgs__msg__MeshFile as MeshFile
+
+from deploy.recording.ordering import SentMessage
+from services.bus.arrays import Floats, cloud_message, plan, point, quaternion, state, vector, xyz
+from services.bus.horizon import Stamped
+from services.bus.messages import TYPESTORE, Header, MalformedMessageError, Pose, decode, encode, header
+from services.bus.octomaps import SEEN_OCCUPIED, known
+from services.bus.topics import TOPICS
+from services.models.mission import MissionSpec
+from services.models.safety import BODY_RADIUS_M
+from sim.world import make_world
+
+TYPES: Mapping[str, str] = MappingProxyType(
+    {
+        "tf_static": "tf2_msgs/msg/TFMessage",
+        "tf": "tf2_msgs/msg/TFMessage",
+        "pose": "geometry_msgs/msg/PoseStamped",
+        "obstacles": "visualization_msgs/msg/MarkerArray",
+        "vehicle": "visualization_msgs/msg/MarkerArray",
+        "planned_path": "nav_msgs/msg/Path",
+        "occupied": "sensor_msgs/msg/PointCloud2",
+    }
+)
+"""What is added to a recording, and its type."""
+
+MAP_PERIOD_NS = 1_000_000_000
+"""Between two clouds of the occupied voxels: most of them are in the cloud before as well."""
+
+_OPTICAL = np.array([0.5, -0.5, 0.5, -0.5])
+"""(w, x, y, z): takes the camera's axes to the body's, x forwards and z up."""
+
+_MarkerArray = TYPESTORE.types["visualization_msgs/msg/MarkerArray"]
+_GREY, _ORANGE = (0.6, 0.6, 0.65, 1.0), (1.0, 0.55, 0.1, 1.0)
+
+
+class Shape(NamedTuple):
+    """A marker's size, m, and place in its frame."""
+
+    kind: int
+    centre: Floats
+    size: Floats
+
+
+class Visualization:
+    """Makes the messages to draw of one flight. A message that makes no sense is not drawn."""
+
+    def __init__(self, spec: MissionSpec) -> None:
+        self._spec = spec
+        self._counts = dict.fromkeys(TYPES, 0)
+        self._space: tuple[Floats, Floats] | None = None
+        self._next_map_ns = 0
+        self._makers: Mapping[str, Callable[[int, Any], Iterator[tuple[str, Any]]]] = {
+            "goal": self._world,
+            "odometry": _pose,
+            "trajectory": _path,
+            "map": self._occupied,
+        }
+
+    def of(self, sent: SentMessage) -> Iterator[SentMessage]:
+        """The messages to draw once ``sent`` has come."""
+        maker = self._makers.get(sent.topic)
+        if maker is None:
+            return
+        at_ns = sent.message.ready_ns
+        try:
+            message = decode(sent.message.payload, TOPICS[sent.topic].type)
+            made = list(maker(at_ns, message))
+        except MalformedMessageError:
+            return
+        for topic, drawn in made:
+            yield SentMessage(topic, Stamped(self._counts[topic], at_ns, encode(drawn, TYPES[topic])))
+            self._counts[topic] += 1
+
+    def _world(self, at_ns: int, goal: Any) -> Iterator[tuple[str, Any]]:
+        self._space = xyz(goal.lower), xyz(goal.upper)
+        at = header(at_ns, "map")
+        boxes = make_world(self._spec.world, self._spec.seed).obstacles
+        shapes = [Shape(Marker.CUBE, (box[:3] + box[3:]) / 2, box[3:] - box[:3]) for box in boxes]
+        yield "obstacles", _markers(at, "obstacles", shapes, _GREY)
+        hull = Shape(Marker.SPHERE, np.zeros(3), np.full(3, 2 * BODY_RADIUS_M) * (1.0, 1.0, 0.2))
+        yield "vehicle", _markers(header(at_ns, "body"), "vehicle", [hull], _ORANGE)
+        turn = Transform(translation=vector(np.zeros(3)), rotation=quaternion(_OPTICAL))
+        mounted = TransformStamped(header=header(at_ns, "body"), child_frame_id="camera", transform=turn)
+        yield "tf_static", Transforms(transforms=[mounted])
+
+    def _occupied(self, at_ns: int, octomap: Any) -> Iterator[tuple[str, Any]]:
+        if self._space is None or at_ns < self._next_map_ns:
+            return
+        self._next_map_ns = at_ns + MAP_PERIOD_NS
+        low, high = self._space
+        resolution_m = octomap.resolution
+        seen = known(octomap.data.tobytes(), resolution_m, low, high)
+        found = np.flatnonzero(seen.ravel() == SEEN_OCCUPIED)  # in one dimension: ten times as fast
+        cells = np.stack(np.unravel_index(found, seen.shape), axis=1) + np.floor(low / resolution_m) + 0.5
+        yield "occupied", cloud_message(header(at_ns, "map"), (cells * resolution_m).astype(np.float32))
+
+
+def _pose(_at_ns: int, odometry: Any) -> Iterator[tuple[str, Any]]:
+    state(odometry)  # refuses what is no pose
+    pose = odometry.pose.pose
+    moved = Transform(translation=vector(xyz(pose.position)), rotation=pose.orientation)
+    yield (
+        "tf",
+        Transforms(
+            transforms=[TransformStamped(header=odometry.header, child_frame_id="body", transform=moved)]
+        ),
+    )
+    yield "pose", PoseStamped(header=odometry.header, pose=pose)
+
+
+def _path(at_ns: int, trajectory: Any) -> Iterator[tuple[str, Any]]:
+    """Each point with the time at which the vehicle is to be there."""
+    poses = [
+        PoseStamped(header=header(round(row[0] * 1e9), "map"), pose=_level(row[1:4], row[10]))
+        for row in plan(trajectory).points
+        if 0.0 <= row[0] < 2**31
+    ]
+    yield "planned_path", Path(header=header(at_ns, "map"), poses=poses)
+
+
+def _level(position: Floats, yaw: float) -> Pose:
+    turned = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+    return Pose(position=point(position), orientation=quaternion(turned))
+
+
+def _markers(at: Header, kind: str, shapes: list[Shape], colour: tuple[float, ...]) -> Any:
+    made: list[Any] = [_marker(at, kind, number, shape, colour) for number, shape in enumerate(shapes)]
+    return _MarkerArray(markers=made)
+
+
+def _marker(at: Header, kind: str, number: int, shape: Shape, colour: tuple[float, ...]) -> Marker:
+    red, green, blue, alpha = colour
+    return Marker(
+        header=at,
+        ns=kind,
+        id=number,
+        type=shape.kind,
+        action=Marker.ADD,
+        pose=_level(shape.centre, 0.0),
+        scale=vector(shape.size),
+        color=Colour(r=red, g=green, b=blue, a=alpha),
+        lifetime=Duration(sec=0, nanosec=0),
+        frame_locked=True,
+        points=[],
+        colors=[],
+        texture_resource="",
+        texture=CompressedImage(header=at, format="", data=np.empty(0, dtype=np.uint8)),
+        uv_coordinates=[],
+        text="",
+        mesh_resource="",
+        mesh_file=MeshFile(filename="", data=np.empty(0, dtype=np.uint8)),
+        mesh_use_embedded_materials=False,
+    )

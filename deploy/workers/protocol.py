@@ -1,0 +1,46 @@
+"""The lines of JSON between a worker and its client: an order for each run, answers and signs of life."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import Field, model_validator
+
+from deploy.recording.flight_status import FlightStatus
+from deploy.recording.snapshot import FlightSnapshot
+from services.models.base import Strict
+from services.models.mission import MissionSpec
+from services.models.outcome import Outcome
+
+ALIVE = '{"alive":true}'
+"""The line that a worker writes every few seconds if nobody watches: it is busy, not stopped."""
+
+
+class WorkerOrder(Strict):
+    """A mission to fly, and the file to record it in, if it is to be recorded."""
+
+    spec: MissionSpec
+    record: Path | None = None
+    live: Path | None = Field(default=None, description="socket of who shows flights while they are flown")
+    about: dict[str, str] = Field(default={}, description="what the recording says beside the specification")
+
+
+class WorkerAnswer(Strict):
+    """One line of a worker: exactly one of ``alive``, ``outcome`` and ``error`` is set.
+
+    With ``alive``, a worker that is watched sends the status of its flight and what it sees, if one is
+    under way.
+    ``error`` is our failure to fly the run; what became of the vehicle is an ``outcome``.
+    """
+
+    alive: bool = False
+    present: FlightStatus | None = None
+    sight: FlightSnapshot | None = None
+    outcome: Outcome | None = None
+    error: str = ""
+
+    @model_validator(mode="after")
+    def _says_one_thing(self) -> WorkerAnswer:
+        if self.alive + (self.outcome is not None) + bool(self.error) != 1:
+            raise ValueError("expected one of alive, outcome, error")
+        return self

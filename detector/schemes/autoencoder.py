@@ -1,0 +1,203 @@
+"""AAD: one autoencoder over the changes of 13 states; an alarm where it fails to reproduce them (V-D).
+
+It sits at control, as in the paper: it sees the waypoint that is tracked and the command made for it. The
+change of each state is divided by the largest of the training flights and cubed: what was seen stays within
++-1, and one change beyond it outweighs several ordinary ones that meet by chance. The hidden layers bend
+(softsign, x / (1 + |x|)) and are bounded, so a change far beyond what was learned cannot be reproduced; the
+output is linear. Inference is compiled and needs no torch: :mod:`detector.schemes.autoencoder_training` does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from numba import njit
+from pydantic import Field
+
+from detector.schemes.base import LIMIT, Alarm, Floats, Lesson, Scheme
+from detector.series.changes import changes
+from detector.series.monitored_states import CURVE, DURATION, WATCHED
+from detector.series.preprocessing import FLOORS, level
+from detector.series.series import Series
+from services.models.base import Strict
+
+INPUTS = (
+    *(f"trajectory.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az")),
+    *(f"command.v{axis}" for axis in "xyz"),
+    DURATION,
+)
+"""The 13 (facts page, "Monitored inter-kernel states")."""
+
+SIZES = (len(INPUTS), 6, 3, len(INPUTS))
+STAGE = "control"
+
+MARGIN = 1.25
+"""Of the threshold over the largest error of the training flights: other flights meet other chances."""
+
+_COLUMNS = np.array([WATCHED[STAGE].index(name) for name in INPUTS])
+_FLOORS = np.array([FLOORS[name] for name in INPUTS])
+_COMMANDS = np.array([name.startswith("command.") for name in INPUTS])
+_CURVE_COLUMN = WATCHED[STAGE].index(CURVE)
+
+_Inputs = Annotated[list[float], Field(min_length=SIZES[0], max_length=SIZES[0])]
+
+
+class Layer(Strict):
+    """``weight`` (outputs, inputs) and ``bias`` (outputs,)."""
+
+    weight: list[list[float]]
+    bias: list[float]
+
+
+class AutoencoderParameters(Strict):
+    """The largest change of each input, three layers, and the largest mean squared error that is no alarm."""
+
+    scale: _Inputs
+    layers: Annotated[list[Layer], Field(min_length=3, max_length=3)]
+    threshold: float = Field(gt=0)
+
+    def packed(self) -> Floats:
+        """All numbers in one row, as the compiled network wants them.
+
+        :raises ValueError: if a layer is of another shape.
+        """
+        parts = [np.array([self.threshold]), np.array(self.scale)]
+        for layer, (inputs, outputs) in zip(self.layers, pairwise(SIZES), strict=True):
+            shapes = [len(layer.weight), *sorted({len(row) for row in layer.weight}), len(layer.bias)]
+            if shapes != [outputs, inputs, outputs]:
+                message = f"a layer is not {inputs} to {outputs}: the network is 13-6-3-13"
+                raise ValueError(message)
+            parts += [np.array(layer.weight).ravel(), np.array(layer.bias)]
+        return np.concatenate(parts)
+
+
+class Autoencoder(Scheme):
+    """The network at control; it watches no other stage and learns nothing in flight."""
+
+    name: ClassVar[str] = "autoencoder"
+
+    def __init__(self, parameters: AutoencoderParameters) -> None:
+        self._network = parameters.packed()
+        self._memory = np.zeros(4 + len(INPUTS))
+
+    def check(self, stage: str, values: Floats) -> Alarm | None:
+        """Judge one tick of control by its reconstruction error."""
+        if stage != STAGE:
+            return None
+        found = inspect(self._memory, self._network, values, True)
+        if found < 0:
+            return None
+        return Alarm(stage, INPUTS[found], 0, float(self._memory[_SCORE]))
+
+    def score(self, stage: str, values: Floats) -> float:
+        """Reconstruction error over the threshold; 0 for other stages."""
+        if stage != STAGE:
+            return 0.0
+        inspect(self._memory, self._network, values, False)
+        return float(self._memory[_SCORE])
+
+    def reset(self, stage: str) -> None:
+        """Forget the levels of the tick before."""
+        if stage == STAGE:
+            self._memory[_KNOWN] = 0.0
+
+    @classmethod
+    def lesson(cls, flight: Series) -> Lesson:
+        """The distinct changes of a flight, ``changes`` (n, 13); how often one was seen does not count."""
+        found = changes(STAGE, flight.checks[STAGE])
+        rows = np.column_stack([found[name] for name in INPUTS]).astype(np.int16)
+        return {"changes": np.unique(rows, axis=0)}
+
+    @classmethod
+    def train(cls, lessons: Sequence[Lesson], seed: int) -> dict[str, Any]:
+        """Train with torch; the threshold is the compiled network's own largest error."""
+        from detector.schemes.autoencoder_training import fit  # noqa: PLC0415 - torch is needed here only
+
+        rows = np.unique(np.concatenate([lesson["changes"] for lesson in lessons]), axis=0).astype(np.float64)
+        scale = np.maximum(np.abs(rows).max(axis=0), 1.0)
+        layers = [Layer(weight=weight, bias=bias) for weight, bias in fit((rows / scale) ** 3, SIZES, seed)]
+        untried = AutoencoderParameters(scale=scale.tolist(), layers=layers, threshold=1.0)
+        worst = largest_error(untried.packed(), rows)
+        return untried.model_copy(update={"threshold": MARGIN * worst}).model_dump(mode="json")
+
+    @classmethod
+    def load(cls, parameters: Mapping[str, Any], *, learning: bool = True) -> Self:  # noqa: ARG003
+        """Make a detector from :class:`AutoencoderParameters`."""
+        return cls(AutoencoderParameters.model_validate(parameters))
+
+
+_KNOWN, _CURVE, _SCORE, _WORST = range(4)
+_IN, _HIDDEN, _CODE, _ = SIZES
+_SCALE = 1
+_W1 = _SCALE + _IN
+_B1 = _W1 + _IN * _HIDDEN
+_W2 = _B1 + _HIDDEN
+_B2 = _W2 + _HIDDEN * _CODE
+_W3 = _B2 + _CODE
+_B3 = _W3 + _CODE * _IN
+
+
+@njit(cache=True)
+def inspect(memory: Floats, network: Floats, values: Floats, accept: bool) -> int:
+    """Judge a tick: the input that is reproduced worst, -1 if the error is within the threshold.
+
+    The score is left in ``memory``; if ``accept``, a tick that passes becomes the predecessor of the next.
+    """
+    bits = values.view(np.int64)
+    compared = memory[_KNOWN] != 0.0 and values[1, _CURVE_COLUMN] == memory[_CURVE]
+    now, change = np.empty(_IN), np.zeros(_IN)
+    for index in range(_IN):
+        column, floor = _COLUMNS[index], _FLOORS[index]
+        now[index] = level(bits[1, column], values[1, column], floor, False, 0)
+        if not _COMMANDS[index]:
+            change[index] = now[index] - level(bits[0, column], values[0, column], floor, False, 0)
+        elif compared:
+            change[index] = now[index] - memory[4 + index]
+    memory[_SCORE] = _error(memory, network, change) / network[0]
+    if memory[_SCORE] > LIMIT:
+        return int(memory[_WORST])
+    if accept:
+        memory[4:] = now
+        memory[_KNOWN], memory[_CURVE] = 1.0, values[1, _CURVE_COLUMN]
+    return -1
+
+
+@njit(cache=True)
+def _error(memory: Floats, network: Floats, change: Floats) -> float:
+    """Mean squared error of one row of changes; the worst input is left in ``memory``."""
+    seen, hidden, code = np.empty(_IN), np.empty(_HIDDEN), np.empty(_CODE)
+    for index in range(_IN):
+        seen[index] = (change[index] / network[_SCALE + index]) ** 3
+    for unit in range(_HIDDEN):
+        total = network[_B1 + unit]
+        for index in range(_IN):
+            total += network[_W1 + unit * _IN + index] * seen[index]
+        hidden[unit] = total / (1.0 + abs(total))
+    for unit in range(_CODE):
+        total = network[_B2 + unit]
+        for index in range(_HIDDEN):
+            total += network[_W2 + unit * _HIDDEN + index] * hidden[index]
+        code[unit] = total / (1.0 + abs(total))
+    squares, worst = 0.0, -1.0
+    for index in range(_IN):
+        total = network[_B3 + index]
+        for unit in range(_CODE):
+            total += network[_W3 + index * _CODE + unit] * code[unit]
+        off = (total - seen[index]) ** 2
+        squares += off
+        if off > worst:
+            worst = off
+            memory[_WORST] = index
+    return squares / _IN
+
+
+@njit(cache=True)
+def largest_error(network: Floats, rows: Floats) -> float:
+    """Over rows (n, 13) of changes."""
+    memory, largest = np.zeros(4), 0.0
+    for row in rows:
+        largest = max(largest, _error(memory, network, row))
+    return largest

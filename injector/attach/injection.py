@@ -1,0 +1,212 @@
+"""One injection into any process that we may trace, from beginning to end, and what became of it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from dataclasses import asdict
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from injector.attach.approach import AttachApproach, AttachTarget
+from injector.attach.permission import AttachRefusedError, changed, name_of, not_permitted
+from injector.attach.untrapped_tracees import UntrappedTracees, notice_for
+from injector.faults.corruption import CORRUPTIONS
+from injector.faults.record import record_of
+from injector.faults.stopped_thread import InjectionResult
+from injector.tracing.elf import place
+from injector.tracing.process import ChangedError, MemoryMap, Process, VanishedError
+from injector.tracing.ptrace import NotPermittedError, wait_until
+from services.models.base import Strict
+from services.models.mission import FaultSpec
+from services.models.outcome import InjectionRecord
+
+ENDED = "the process ended before the fault"
+
+MAKING_S = 0.5
+"""Longest wait for threads that block all signals because they are being made."""
+
+
+class Aftermath(Strict):
+    """What happened to the process within ``watched_s`` of wall time after the fault.
+
+    ``ended``: it did, and nobody told us how.
+    """
+
+    result: Literal["lives", "killed", "exited", "ended"]
+    signal: str = Field(default="", description="that killed it")
+    exit_status: int | None = None
+    after_s: float | None = Field(default=None, description="wall time from the fault to its end")
+    watched_s: float
+
+
+class ProcessInjection(Strict):
+    """One injection into a process that was named by its pid.
+
+    ``call`` counts the function's calls from 1, without the ``rehearsals``: calls that are observed first, to
+    learn how long they are; ``step`` counts instructions of the
+    call from 0, of which the rehearsed call had ``instructions``; ``cpu_ns`` is thread time after the call's
+    beginning, or after the start where no function was given.
+    """
+
+    process: str
+    executable: str
+    thread: str
+    function: str = ""
+    library: str = ""
+    seed: int
+    dry_run: bool
+    call: int | None = None
+    step: int | None = None
+    instructions: int | None = None
+    cpu_ns: int | None = None
+    rehearsals: int = 0
+    injection: InjectionRecord
+    aftermath: Aftermath
+
+
+def inject_into(
+    process: Process,
+    target: AttachTarget,
+    fault: FaultSpec,
+    draw: np.random.Generator,
+    *,
+    node: str = "",
+    function: str = "",
+    library: str = "",
+    dry_run: bool = False,
+    watch_s: float = 1.0,
+) -> ProcessInjection:
+    """Inject a fault into a process of which only the pid is known.
+
+    With ``dry_run`` nothing is changed: what would be is written back as it is. ``node`` is the name by which
+    it is announced, ``function`` and ``library`` are what ``target`` names, for the record. When this returns
+    or raises, nobody is traced.
+
+    :raises AttachRefusedError: if the kernel forbids it, or no thread can be stopped.
+    :raises VanishedError: if the process ended before we had hold of it. Later, that is in the record.
+    :raises TriggerError, StopError: as :func:`injector.flight.injection.inject` does.
+    """
+    # A thread that is just being made blocks every signal for a moment.
+    notice = wait_until(lambda: notice_for(target.tids) if process.alive else 0, MAKING_S) or None
+    if notice is None and not process.alive:
+        raise VanishedError(ENDED)
+    if notice is None:
+        raise AttachRefusedError(
+            f"process {process.pid} blocks the signals by which a thread is stopped there"
+        )
+    told = {"process": name_of(process.pid), "executable": _executable(process.pid)}
+    with UntrappedTracees(process, notice) as tracees:
+        _seize(tracees, process)
+        one = AttachApproach(
+            tracees,
+            process,
+            target,
+            fault.model_copy(update={"model": "none"}) if dry_run else fault,
+            CORRUPTIONS[fault.model],
+            draw,
+        )
+        result = one.run()
+        maps, thread = process.maps(), name_of(one.report.tid)
+        tracees.resume_all()
+        aftermath = _watch(tracees, process, watch_s)
+    drawn = {name: value for name, value in asdict(one.report).items() if name not in ("precision", "tid")}
+    return ProcessInjection(
+        **told,
+        thread=thread,
+        function=function,
+        library=library,
+        seed=fault.seed,
+        dry_run=dry_run,
+        **drawn,
+        injection=_record(fault, one, maps, result, node=node, dry_run=dry_run),
+        aftermath=aftermath,
+    )
+
+
+def _seize(tracees: UntrappedTracees, process: Process) -> None:
+    """Seize all threads of a process, which is checked once more now that it cannot change.
+
+    :raises AttachRefusedError: if the kernel forbids it, or it is another process by now.
+    """
+    try:
+        tracees.seize([process.pid])
+    except NotPermittedError as error:
+        raise AttachRefusedError(not_permitted(process.pid)) from error
+    try:
+        process.verify()
+    except ChangedError as error:
+        raise AttachRefusedError(changed(process.pid)) from error
+
+
+def _record(
+    fault: FaultSpec,
+    approach: AttachApproach,
+    maps: MemoryMap,
+    result: InjectionResult,
+    *,
+    node: str,
+    dry_run: bool,
+) -> InjectionRecord:
+    report, pid = approach.report, approach.process.pid
+    record = record_of(
+        result,
+        fault,
+        node=node,
+        kernel="",
+        invocation=report.call or 0,
+        location=lambda address: place(pid, maps, address),
+        precision=report.precision,
+        pid=pid,
+        tid=report.tid,
+        pause_us=approach.tracees.pause_us,
+        threads_stopped=approach.tracees.threads_stopped,
+    )
+    if dry_run and result.bits:
+        return record.model_copy(update={"reason": "dry run: all was done but the flip"})
+    return record
+
+
+def ended_before(pid: int, name: str, fault: FaultSpec, *, node: str, dry_run: bool) -> ProcessInjection:
+    """The record of a fault whose process ended before it could be traced."""
+    return ProcessInjection(
+        process=name,
+        executable="",
+        thread="",
+        seed=fault.seed,
+        dry_run=dry_run,
+        injection=record_of(
+            InjectionResult("failed", ENDED), fault, node=node, kernel="", invocation=0, pid=pid
+        ),
+        aftermath=Aftermath(result="ended", watched_s=0.0),
+    )
+
+
+def _executable(pid: int) -> str:
+    try:
+        return os.readlink(f"/proc/{pid}/exe")  # noqa: PTH115
+    except OSError:
+        return ""
+
+
+def _watch(tracees: UntrappedTracees, process: Process, watch_s: float) -> Aftermath:
+    """Let all run, and see what becomes of the process. We hear how it ends only as its tracer."""
+    pid = process.pid
+    begin = time.monotonic()
+
+    def ended() -> bool | None:
+        tracees.service()
+        return True if pid in tracees.ends or not tracees.threads else None
+
+    wait_until(ended, watch_s)
+    end = tracees.ends.get(pid)
+    watched = {"watched_s": watch_s}
+    if end is None:
+        return Aftermath(result="lives" if process.alive else "ended", **watched)
+    after = {"after_s": round(time.monotonic() - begin, 4)}
+    if end.signal:
+        return Aftermath(result="killed", signal=signal.Signals(end.signal).name, **after, **watched)
+    return Aftermath(result="exited", exit_status=end.exit_status, **after, **watched)

@@ -1,0 +1,38 @@
+"""Address ranges of a kernel's own code, without the interpreter and other libraries that its thread runs."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from pathlib import Path
+
+from injector.tracing.process import MemoryMap, Process
+from services.kernels import KERNELS
+from services.models.mission import FaultSpec
+
+
+def within(fault: FaultSpec, process: Process) -> Callable[[int], bool]:
+    """A test of addresses: whether the fault may be injected into the instruction there."""
+    if fault.scope == "thread":
+        return lambda _: True
+    ranges = code_ranges(process.maps(), KERNELS[fault.target].modules)
+    starts = [start for start, _ in ranges]
+
+    def inside(address: int) -> bool:
+        index = bisect_right(starts, address) - 1
+        return index >= 0 and address < ranges[index][1]
+
+    return inside
+
+
+def code_ranges(maps: MemoryMap, modules: tuple[str, ...]) -> list[tuple[int, int]]:
+    """Where a kernel's own code lies, in order.
+
+    That is in files whose names begin with one of ``modules``, and in executable memory without a file,
+    where numba's code is: of every kernel of the process, and what else is compiled at run time.
+    """
+    return [
+        (one.start, one.end)
+        for one in maps.code()
+        if not one.name or (modules and Path(one.path).name.startswith(modules))
+    ]

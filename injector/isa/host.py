@@ -1,0 +1,71 @@
+"""The architecture that we run on: its registers, its instructions, and what this processor has of them."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+from injector.isa import aarch64_decoder, aarch64_registers, x86_64_decoder, x86_64_registers
+from injector.isa.instruction import Instruction, RegisterClass
+from injector.isa.registers import Registers
+from services.models.mission import FaultSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Architecture:
+    """What the injector needs to know of one.
+
+    ``registers`` are those of a standing thread by its tid, ``decode`` takes bytes and their address,
+    ``classes`` are the classes of registers of this very processor, ``flags`` the bits of status flags.
+    """
+
+    registers: Callable[[int], Registers]
+    decode: Callable[[bytes, int], Instruction]
+    classes: Callable[[], frozenset[RegisterClass]]
+    flags: tuple[int, ...]
+
+
+_ARCHITECTURES = {
+    "x86_64": Architecture(
+        x86_64_registers.X8664Registers,
+        x86_64_decoder.decode,
+        x86_64_registers.register_classes,
+        x86_64_registers.STATUS_FLAGS,
+    ),
+    "aarch64": Architecture(
+        aarch64_registers.AArch64Registers,
+        aarch64_decoder.decode,
+        lambda: aarch64_registers.REGISTER_CLASSES,
+        aarch64_registers.STATUS_FLAGS,
+    ),
+}
+HOST = _ARCHITECTURES.get(platform.machine(), _ARCHITECTURES["x86_64"])
+
+decode = lru_cache(4096)(HOST.decode)
+"""Decoding on this machine; what is stepped through repeats."""
+
+
+class AbsentError(ValueError):
+    """The processor does not have the registers that a fault is to corrupt: one line."""
+
+
+def require(fault: FaultSpec, host: Architecture = HOST) -> None:
+    """Refuse a fault that this processor has no register for.
+
+    :raises AbsentError: naming what is absent.
+    """
+    wanted = fault.register_class
+    present = host.classes()
+    if wanted != "any" and wanted not in present:
+        message = f"register class {wanted} absent on this CPU: choose of {', '.join(sorted(present))}"
+        raise AbsentError(message)
+    if wanted == "flags" and fault.bits > len(host.flags):
+        message = f"bits: there are {len(host.flags)} status flags on this CPU, not {fault.bits}"
+        raise AbsentError(message)
+    unknown = set(fault.bit_numbers or ()) - set(host.flags)
+    if wanted == "flags" and unknown:
+        flags = ", ".join(map(str, host.flags))
+        message = f"bit_numbers: bit {min(unknown)} is no status flag on this CPU: choose of {flags}"
+        raise AbsentError(message)

@@ -1,0 +1,316 @@
+"""The kernel study: what one fault does to a kernel alone, thousands of times (the paper's Fig. 6).
+
+A worker holds a kernel on its recorded sample (:mod:`injector.kernel_study.subject`). It takes a copy through
+the call once for many injections; at each drawn place another copy is made
+(:mod:`injector.kernel_study.checkpoints`), a fault is injected, and it runs to its end. The worker is the
+copies' parent and tracer: they die with it, and nothing of a fault outlives its injection.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Literal
+
+from injector.faults.apply import apply_fault
+from injector.faults.record import record_of
+from injector.faults.stopped_thread import InjectionResult
+from injector.kernel_study.anchor_search import AnchorSearch, TraceReply, TraceRequest
+from injector.kernel_study.checkpoints import BEGINNING, CheckpointRun, SamplePoint
+from injector.kernel_study.instruction_index import InstructionIndex
+from injector.kernel_study.remote_fork import RemoteForkError, RemoteForks
+from injector.kernel_study.subject import MARK, Subject
+from injector.tracing import elf, ptrace
+from injector.tracing.process import MemoryMap, Process, ProcessIdentity, VanishedError, sleeps
+from injector.tracing.ptrace import GoneError, StopReport, wait_until
+from injector.tracing.tracee import Tracee
+from injector.tracing.tracees import TraceeGroup
+from services.models.base import Strict
+from services.models.mission import FaultSpec, Site, Trigger
+from services.models.outcome import InjectionRecord
+from services.runtime import rng
+
+StudyResult = Literal["benign", "sdc", "crash", "hang", "not_injected"]
+
+HANG_TIMES = 10
+"""A copy that uses this many times the thread time of a good call, and ..."""
+
+HANG_MARGIN_S = 0.05
+"""... this much more, hangs."""
+
+ASLEEP_LOOKS = 5
+"""Looks at which a copy sleeps before it is taken to wait for ever: nobody else is there to wake it.
+
+They need not be in a row. Who waits for the interpreter's lock, which it holds itself, wakes every 5 ms.
+"""
+
+GOLDEN_CALLS = 5
+"""Calls without a fault whose median thread time is that of a golden call."""
+
+LOST = InjectionResult("failed", "what was to be struck was lost before the fault")
+"""Somebody else killed or stopped it."""
+
+_LOOK_S = 0.01
+_BEGIN_S = 20.0
+
+
+class StudyRun(Strict):
+    """One injection into a kernel alone.
+
+    ``sdc``: the output differs in a bit; ``within_tolerance`` says whether by no more than matters, and
+    ``deviation`` by how much in the kernel's unit (None: it has more or fewer values, or not all are
+    numbers). ``cause``: of a crash, the signal or "exception". Pid, tid and pause of the record are 0, as
+    they tell nothing of a copy; the rest is the same in every run.
+    """
+
+    kernel: str
+    index: int
+    result: StudyResult
+    within_tolerance: bool = False
+    deviation: float | None = None
+    cause: str = ""
+    injection: InjectionRecord
+
+
+class StudyTask(Strict):
+    """What a worker is asked for: a part of the anchor ``search``, or the injections of a leg."""
+
+    search: TraceRequest | None = None
+    fault: FaultSpec | None = None
+    seed: int = 0
+    clock: InstructionIndex | None = None
+    leg: tuple[SamplePoint, ...] = ()
+
+
+class StudyAnswer(Strict):
+    """One line of a worker: what it found, what came of a place (``refused``: its number), our own problem.
+
+    The last one to a task has the processor time that worker and copies have used so far.
+    """
+
+    found: TraceReply | None = None
+    run: StudyRun | None = None
+    refused: int | None = None
+    problem: str = ""
+    cpu_s: float | None = None
+
+
+class SubjectInjector:
+    """Injects into copies of one subject, one after the other. Only in a process of one thread."""
+
+    def __init__(self, kernel: str, subject: Subject, pid: int, tracees: TraceeGroup) -> None:
+        """Take over the process that ``subject`` forked, which stands at the beginning of its call."""
+        self._kernel, self._subject, self._tracees = kernel, subject, tracees
+        self._root = tracees.threads[pid]
+        self._forks = RemoteForks(tracees)
+        # The same in all copies.
+        self._places = elf.CodeLocations(pid, MemoryMap(Path(f"/proc/{pid}/maps").read_text()))
+        self.anchor_search = AnchorSearch(tracees, self._forks, self._root, MARK)
+        self._limit_s = _BEGIN_S
+        took_s = sorted(self._golden_call_s() for _ in range(GOLDEN_CALLS))[GOLDEN_CALLS // 2]
+        self._limit_s = HANG_TIMES * took_s + HANG_MARGIN_S
+
+    def run(
+        self, clock: InstructionIndex, leg: Sequence[SamplePoint], fault: FaultSpec, seed: int
+    ) -> Iterator[tuple[int, StudyRun | None]]:
+        """Inject into a copy at each of the places: number and what came of it, None where it was refused.
+
+        Where somebody else kills or stops what is to be struck, the place is told of as not injected. If no
+        copy could be made there, one goes through the call anew for the rest of the leg.
+
+        :raises InstructionIndexError, RemoteForkError: if we cannot.
+        """
+        left = {place.index: place for place in leg}
+        while left:
+            with closing(self._visit(clock, list(left.values()), fault, seed)) as runs:
+                for index, run in runs:
+                    del left[index]
+                    yield index, run
+
+    def _visit(
+        self, clock: InstructionIndex, leg: Sequence[SamplePoint], fault: FaultSpec, seed: int
+    ) -> Generator[tuple[int, StudyRun | None]]:
+        """Inject at each of the places, up to the first at which no copy can be made."""
+        with closing(CheckpointRun(self._tracees, self._forks, self._root, clock).visit(leg)) as places:
+            for place, there in places:
+                if there is None:
+                    yield place.index, None
+                    continue
+                aimed = fault.model_copy(update={"seed": place.index, "trigger": self._trigger(place, clock)})
+                try:
+                    copy = self._forks.copy(there)
+                except RemoteForkError:
+                    yield place.index, self._told(place, aimed, LOST, None)
+                    return
+                yield place.index, self._inject(place, copy, aimed, seed)
+
+    def _inject(self, place: SamplePoint, copy: Tracee, aimed: FaultSpec, seed: int) -> StudyRun:
+        draw = rng.generator(seed, f"study {self._kernel}", place.index)
+        before = set(self._tracees.threads) - {copy.tid}
+        self._subject.forget()
+        try:
+            try:
+                with Process(ProcessIdentity.of(copy.pid)) as process:
+                    found = apply_fault(self._tracees, copy, process, aimed, draw)
+            except VanishedError:
+                found = LOST
+            if found is None:
+                found = InjectionResult("not_activated", "the place is a system call")
+            end = self._finish(copy) if found.bits else None
+        finally:
+            for one in [one for one in self._tracees.threads.values() if one.tid not in before]:
+                self._forks.end(one)  # it hangs, or what it has started does
+        return self._told(place, aimed, found, end)
+
+    def _finish(self, copy: Tracee) -> StopReport | None:
+        """Let a copy run to its end: how it ended, None if it hangs."""
+        if copy.tid not in self._tracees.threads:
+            return StopReport("gone", signal.SIGKILL)
+        self._tracees.resume(copy)
+        asleep = 0
+        while True:
+            report = ptrace.poll(copy.tid)
+            if report is None:
+                if not signal.sigtimedwait({signal.SIGCHLD}, _LOOK_S):
+                    asleep += sleeps(copy.tid)
+                    if asleep >= ASLEEP_LOOKS or _cpu_s(copy.pid) > self._limit_s:
+                        return None
+            elif report.kind == "gone":
+                del self._tracees.threads[copy.tid]
+                return report
+            elif report.kind in ("step", "timer"):
+                return StopReport("gone", signal.SIGTRAP)  # a trap of its own making
+            elif report.kind == "group_stop":
+                return None
+            else:
+                self._go_on(copy, report)
+
+    def _go_on(self, copy: Tracee, report: StopReport) -> None:
+        """Past a signal, which it gets unless it is its mark; what it starts stands where it begins."""
+        with suppress(GoneError):  # killed meanwhile; its end is reported next
+            if report.kind in ("new_thread", "new_process"):
+                tid = ptrace.started(copy.tid)
+                pid = copy.pid if report.kind == "new_thread" else tid
+                self._tracees.threads[tid] = Tracee(pid, tid)
+            deliver = report.kind == "signal" and report.signal != MARK
+            ptrace.resume(copy.tid, report.signal if deliver else 0)
+
+    def _told(
+        self, place: SamplePoint, fault: FaultSpec, found: InjectionResult, end: StopReport | None
+    ) -> StudyRun:
+        result, cause = self._judge(fault, found, end)
+        made = self._subject.made() if result == "sdc" else None
+        return StudyRun(
+            kernel=self._kernel,
+            index=place.index,
+            result=result,
+            within_tolerance=made is not None and made.within_tolerance,
+            deviation=None if made is None else made.deviation,
+            cause=cause,
+            injection=self._record(fault, found),
+        )
+
+    def _judge(
+        self, fault: FaultSpec, found: InjectionResult, end: StopReport | None
+    ) -> tuple[StudyResult, str]:
+        dummy = fault.model == "none" and bool(found.bits)
+        if found.status != "injected" and not dummy:
+            return "not_injected", found.reason
+        if end is None:
+            return "hang", ""
+        if end.signal:
+            return "crash", signal.Signals(end.signal).name
+        what = self._subject.made().what
+        if end.exit_status or what == "nothing":
+            return "crash", "exception" if end.exit_status else "it ended early"
+        return ("benign" if what == "golden" else "sdc"), ""
+
+    def close(self) -> None:
+        """Kill the subject's process and every copy."""
+        for one in list(self._tracees.threads.values()):
+            self._forks.end(one)
+
+    # -- what is told of it ------------------------------------------------------------------------
+
+    def _trigger(self, place: SamplePoint, clock: InstructionIndex) -> Trigger:
+        if place.anchor == BEGINNING:
+            exact = not clock.anchors
+            site = Site(
+                precision="exact" if exact else "occurrence",
+                step=place.step if exact else None,
+                steps=place.step,
+            )
+        else:
+            where = self._places.at(clock.anchors[place.anchor].address)
+            site = Site(
+                precision="occurrence",
+                module=where.module,
+                build_id=where.build_id,
+                offset=where.offset,
+                hit=place.hit,
+                steps=place.step,
+            )
+        return Trigger(invocation=0, site=site)
+
+    def _record(self, fault: FaultSpec, found: InjectionResult) -> InjectionRecord:
+        assert fault.trigger is not None  # noqa: S101 - made above
+        assert fault.trigger.site is not None  # noqa: S101
+        return record_of(
+            found,
+            fault,
+            node=self._kernel,
+            kernel=self._kernel,
+            invocation=0,
+            location=self._places.at,
+            precision=fault.trigger.site.precision,
+            trigger=fault.trigger,
+            threads_stopped=1,
+        )
+
+    # -- the good call -----------------------------------------------------------------------------
+
+    def _golden_call_s(self) -> float:
+        """The thread time of a call without a fault in a copy, s.
+
+        :raises RuntimeError: if a copy without a fault does not make the golden output.
+        """
+        copy = self._forks.copy(self._root)
+        self._subject.forget()
+        end, made = self._finish(copy), self._subject.made()
+        if end is None or made.what != "golden":
+            message = f"{self._kernel}: a copy that was left alone made another output ({end})"
+            raise RuntimeError(message)
+        return made.spent_ns / 1e9
+
+
+def _cpu_s(pid: int) -> float:
+    """Processor time of a process: its clock by the number that clock_getcpuclockid(3) gives it."""
+    return time.clock_gettime(~pid << 3 | 2)
+
+
+@contextmanager
+def subject_injector(kernel: str, subject: Subject, pid: int, go: int) -> Iterator[SubjectInjector]:
+    """An injector for copies of the process that ``subject`` forked; it and they are gone afterwards.
+
+    :raises RuntimeError: if the call is not the same in a copy.
+    """
+    with TraceeGroup(MARK, forks=True, ours=True) as tracees:
+        tracees.seize([pid])
+        os.write(go, b"x")
+
+        def there() -> bool | None:
+            tracees.service()
+            return True if tracees.threads[pid].report is not None else None
+
+        if not wait_until(there, _BEGIN_S):
+            message = f"{kernel}: the process to be copied never began its call"
+            raise RuntimeError(message)
+        injector = SubjectInjector(kernel, subject, pid, tracees)
+        try:
+            yield injector
+        finally:
+            injector.close()

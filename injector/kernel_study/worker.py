@@ -1,0 +1,65 @@
+"""A worker of the kernel study, `injector.kernel_study.worker KERNEL`: reads tasks, writes answers, in lines.
+
+What it needs to inject is imported after the process that is copied has been forked: the less that one has,
+the faster it is copied. That one must be the same to the byte in all workers, so that they count the same
+instructions: see :mod:`injector.reproducible.launch`.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import sys
+
+from numba.core import event
+
+from injector.kernel_study.subject import Subject
+from injector.reproducible.launch import begin_again_if
+from services.kernels import KERNELS
+from services.system.lifeline import die_with_parent
+
+
+def main() -> None:
+    """Answer tasks until there are no more."""
+    die_with_parent()
+    (kernel,) = sys.argv[1:]
+    with event.install_recorder("numba:compile") as compiled:
+        subject = Subject(KERNELS[kernel])
+    begin_again_if(bool(compiled.buffer))
+    _answer(kernel, subject, *subject.fork())
+    # Without the interpreter's own clean-up: nanobind would complain of OMPL's leaks at length.
+    os._exit(os.EX_OK)
+
+
+def _answer(kernel: str, subject: Subject, pid: int, go: int) -> None:
+    from injector.kernel_study.function_counts import FunctionCountError  # noqa: PLC0415
+    from injector.kernel_study.instruction_index import InstructionIndexError  # noqa: PLC0415
+    from injector.kernel_study.remote_fork import RemoteForkError  # noqa: PLC0415
+    from injector.kernel_study.study import StudyAnswer, StudyTask, subject_injector  # noqa: PLC0415
+
+    def say(answer: StudyAnswer) -> None:
+        sys.stdout.write(answer.model_dump_json(by_alias=True, exclude_none=True) + "\n")
+        sys.stdout.flush()
+
+    try:
+        with subject_injector(kernel, subject, pid, go) as injector:
+            for line in sys.stdin:
+                task = StudyTask.model_validate_json(line)
+                if task.search is not None:
+                    say(StudyAnswer(found=injector.anchor_search.answer(task.search, f"clock {kernel}")))
+                elif task.clock is not None and task.fault is not None:
+                    for index, run in injector.run(task.clock, task.leg, task.fault, task.seed):
+                        say(StudyAnswer(run=run) if run is not None else StudyAnswer(refused=index))
+                say(StudyAnswer(cpu_s=_cpu_s()))
+    except (FunctionCountError, InstructionIndexError, RemoteForkError) as error:
+        say(StudyAnswer(problem=str(error)))
+
+
+def _cpu_s() -> float:
+    """Processor time that we and the copies that have ended used."""
+    both = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in both)
+
+
+if __name__ == "__main__":
+    main()

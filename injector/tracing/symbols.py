@@ -1,0 +1,150 @@
+"""Finding a function of a process by its name, as the linker has it or as C++ has it."""
+
+from __future__ import annotations
+
+import ctypes
+import difflib
+import re
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from injector.tracing.elf import functions
+from injector.tracing.process import MemoryMap, MemoryMapping
+from services.system.libc import libc
+
+SHOWN = 6
+"""How many candidates a refusal shows."""
+
+_IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
+
+
+class SymbolError(Exception):
+    """No function, or no library, or not just one: one line that names those that are like it."""
+
+
+def function_at(pid: int, maps: MemoryMap, name: str, module: str = "") -> tuple[int, str]:
+    """Address and mangled name of the one loaded function that is called so.
+
+    ``name`` is mangled or not, with parameters or without; ``module`` narrows it to one library.
+
+    :raises SymbolError: if there is none, or more than one.
+    """
+    pieces = module_code(maps, module) if module else [one for one in maps.code() if one.path]
+    every = [(one, *found) for one in pieces for found in functions(pid, one)]
+    wanted = plain(name)
+    parts = _IDENTIFIER.findall(re.split("[<(]", wanted)[0])
+    part = parts[-1] if parts and "operator" not in parts else ""
+    matching: dict[int, tuple[MemoryMapping, str]] = {}
+    for piece, symbol, address in every:
+        if symbol == name or (
+            symbol.startswith("_Z") and part in symbol and wanted in spellings(demangled(symbol))
+        ):
+            matching.setdefault(address, (piece, symbol))
+    if len(matching) == 1:
+        ((address, (_, symbol)),) = matching.items()
+        return address, symbol
+    if matching:
+        found = sorted(
+            f"{demangled(symbol)} ({symbol} in {_file(piece)})" for piece, symbol in matching.values()
+        )
+        message = f"symbol {name!r} is {len(found)} functions: give one in full: {_some(found)}"
+        raise SymbolError(message)
+    where = f" in {module}" if module else ""
+    if not every:
+        message = f"symbol {name!r}: no names are left{where} (stripped); use --module"
+        raise SymbolError(message)
+    near = _near(name, {symbol for _, symbol, _ in every})
+    message = f"symbol {name!r} not found{where}" + (f"; similar: {_some(near)}" if near else "")
+    raise SymbolError(message)
+
+
+def module_code(maps: MemoryMap, name: str) -> list[MemoryMapping]:
+    """The executable pieces of a loaded file, by its name or the beginning of it, or its path.
+
+    :raises SymbolError: if no such file is loaded, or several are.
+    """
+    loaded = {one.path: _file(one) for one in maps.code() if one.path}
+    exact = [path for path, file in loaded.items() if name in (path, file)]
+    found = exact or [path for path, file in loaded.items() if file.startswith(name)]
+    if len(found) == 1:
+        return [one for one in maps.code() if one.path == found[0]]
+    what = f"is {len(found)} files: {_some(found)}" if found else "is not loaded"
+    message = f"module {name!r} {what}" + ("" if found else f"; loaded: {', '.join(loaded.values())}")
+    raise SymbolError(message)
+
+
+def _file(piece: MemoryMapping) -> str:
+    return Path(piece.path).name.removesuffix(" (deleted)")
+
+
+def plain(name: str) -> str:
+    """A C++ name without blanks that mean nothing."""
+    return re.sub(r"\s*([,*&()<>])\s*", r"\1", " ".join(name.split()))
+
+
+def spellings(name: str) -> set[str]:
+    """What somebody may write for a demangled name: with parameters, and without."""
+    whole = plain(name)
+    return {whole, _without_parameters(whole)}
+
+
+def _without_parameters(name: str) -> str:
+    """``f<g(int)>(double) const`` is ``f<g(int)>``; the return type of templates goes, too."""
+    depth, begin = 0, len(name)
+    for at, letter in enumerate(name):
+        depth += {"<": 1, ">": -1}.get(letter, 0)
+        if letter == "(" and depth == 0 and not name.startswith("(anonymous namespace)", at) and at:
+            begin = at
+            break
+    head, depth = name[:begin], 0
+    for at in range(len(head) - 1, -1, -1):
+        depth += {">": 1, "<": -1}.get(head[at], 0)
+        if head[at] == " " and depth == 0 and not head[:at].endswith("operator"):
+            return head[at + 1 :]
+    return head
+
+
+@cache
+def _demangler() -> Any:
+    """``abi::__cxa_demangle`` of the C++ library; None where there is none."""
+    try:
+        function = ctypes.CDLL("libstdc++.so.6").__cxa_demangle
+    except (OSError, AttributeError):
+        return None
+    function.restype = ctypes.c_void_p
+    function.argtypes = [ctypes.c_char_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+    return function
+
+
+def demangled(symbol: str) -> str:
+    """What C++ calls a function; a name that is not of C++ stays as it is."""
+    if not symbol.startswith("_Z") or _demangler() is None:
+        return symbol
+    found = _demangler()(symbol.encode(), None, None, None)
+    if not found:
+        return symbol
+    try:
+        return ctypes.string_at(found).decode(errors="replace")
+    finally:
+        libc.free(ctypes.c_void_p(found))
+
+
+def _near(name: str, symbols: Iterable[str]) -> list[str]:
+    identifiers = _IDENTIFIER.findall(name.split("(", maxsplit=1)[0])
+    last = identifiers[-1].lower() if identifiers else name.lower()
+    by_end: dict[str, str] = {}
+    for symbol in sorted(symbols):
+        shown = _without_parameters(plain(demangled(symbol)))
+        end = shown.rpartition("::")[2].lower()
+        if _IDENTIFIER.fullmatch(end):
+            by_end.setdefault(end, shown)
+    close = difflib.get_close_matches(last, by_end, SHOWN, 0.75)
+    holding = [end for end in by_end if last in end and end not in close]
+    return [by_end[end] for end in [*close, *holding][:SHOWN]]
+
+
+def _some(names: list[str]) -> str:
+    more = len(names) - SHOWN
+    return "; ".join(names[:SHOWN]) + (f"; and {more} more" if more > 0 else "")

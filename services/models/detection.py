@@ -1,0 +1,59 @@
+"""The detector of a mission: its specification, its alarms and its report."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from services.models.base import Strict
+
+Scope = Literal["all", "planning_control", "perception", "planning", "control", "off"]
+"""The stages that recover: one of them, planning and control, all three (the paper, section V-E), or none."""
+
+
+class DetectorSpec(Strict):
+    """The specification of one detector in a mission.
+
+    With the ``gate`` on, an output is held until its verdict; off, it is published at once and its alarm is
+    recorded. A stage in the scope of ``recovery`` makes an alarmed output again, at most ``retries`` times.
+    ``model`` is the content of a model file; where a specification is written, the file's name stands for it.
+    """
+
+    scheme: str = Field(description="entry point of `zenfi.detectors`")
+    model: dict[str, Any] | None = Field(default=None, description="default: the one that comes along")
+    gate: Literal["on", "off"] = "on"
+    recovery: Scope = "all"
+    retries: int = Field(default=1, ge=0, le=10, description="of one output")
+    check_us: float | None = Field(
+        default=None, ge=0, le=1e6, description="virtual time of a check; default: the platform's"
+    )
+
+
+class AlarmRecord(Strict):
+    """One alarm, and what the stage did about it.
+
+    ``recomputed``: the output was made again before it was published, at control with the next waypoint.
+    ``waypoint_dropped``: it had been published, and control went on to the next waypoint. ``published``:
+    nothing, as the gate is off, the stage recovers not, or it was the last of the retries.
+    """
+
+    stage: str
+    topic: str
+    state: str = Field(description="the one that is farthest from the normal; empty: it made no sense")
+    row: int
+    score: float = Field(description="above 1; in units of what is allowed")
+    virtual_time_ns: int
+    action: Literal["recomputed", "waypoint_dropped", "published"]
+    cost_ns: int = Field(default=0, description="virtual time of the recomputation")
+    true: bool = Field(default=False, description="whether a fault had struck that stage or one before it")
+
+
+class DetectionReport(Strict):
+    """What a detector did up to the mission's end. Times are virtual and parts of the mission's time."""
+
+    alarms: list[AlarmRecord] = Field(description="in the order of time and stage")
+    checks: int
+    detection_share: float
+    recomputation_share: float
+    ungated: int = Field(description="outputs without a verdict: the detector had died")

@@ -1,0 +1,252 @@
+"""The specification of a mission: the one definition of all that can be asked of a flight.
+
+Names of worlds, planners, airframes and platforms are checked against the tables that
+declare them by :func:`deploy.config.check.check`; here only form and range are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from services.bus.topics import PLANNER, Topic
+from services.models.airframe import AirframeDefinition
+from services.models.base import Strict
+from services.models.detection import DetectorSpec
+from services.models.equipment import Camera, Imu, MapSettings, Motion, Odometry, Wind
+from services.models.own_stack import OwnStack, OwnStage
+from services.models.platform import PlatformDefinition
+from services.models.profiles import PROFILES
+from services.models.world import WorldDefinition
+
+Seed = int
+
+
+def _form(value: object) -> str:
+    return "name" if isinstance(value, str) else "definition"
+
+
+def _label(named: str | Strict) -> str:
+    return named if isinstance(named, str) else str(named.name)  # type: ignore[attr-defined]
+
+
+World = Annotated[
+    Annotated[str, Tag("name")] | Annotated[WorldDefinition, Tag("definition")], Discriminator(_form)
+]
+Airframe = Annotated[
+    Annotated[str, Tag("name")] | Annotated[AirframeDefinition, Tag("definition")], Discriminator(_form)
+]
+Platform = Annotated[
+    Annotated[str, Tag("name")] | Annotated[PlatformDefinition, Tag("definition")], Discriminator(_form)
+]
+
+
+class FaultSpec(Strict):
+    """One fault: where, when and what is flipped.
+
+    At ``level`` instruction ``target`` is a kernel (``services/kernels.py``), and the bits are those of an
+    instruction that it executes; at level source it is an inter-kernel state or a vector of them
+    (``services/models/inter_kernel_states.py``), and the bits are those of one message that carries it.
+
+    ``trigger`` may be left out; it is drawn then, from ``seed``. A stored outcome's specification says
+    exactly when the fault struck.
+
+    Models: ``bitflip`` inverts bits of a register; ``stuck_at`` holds them at ``stuck_value`` for
+    ``stuck_instructions``; ``opcode`` inverts bits of the instruction for one execution; ``memory``
+    inverts bits of the word that the instruction reads or writes; ``none`` does everything but the flip.
+    """
+
+    level: Literal["instruction", "source"] = "instruction"
+    target: str = Field(description="kernel, or inter-kernel state")
+    seed: Seed = Field(default=0, ge=0, lt=2**32)
+    model: Literal["bitflip", "stuck_at", "opcode", "memory", "none"] = "bitflip"
+    operand: Literal["source", "destination", "any"] = "any"
+    register_class: Literal["gpr", "vector", "flags", "mask", "any"] = "any"
+    bits: int = Field(default=1, ge=1, le=64, description="how many distinct bits are drawn")
+    field: Literal["any", "sign", "exponent", "mantissa"] = Field(
+        default="any", description="of one number of a floating-point operand"
+    )
+    bit_numbers: tuple[int, ...] | None = Field(default=None, description="these bits, instead of drawn ones")
+    stuck_value: Literal[0, 1] | None = None
+    stuck_instructions: int | None = Field(default=None, ge=1, le=10_000)
+    scope: Literal["kernel", "thread"] = Field(
+        default="thread", description="the kernel's own code, or all that its thread runs in the call"
+    )
+    components: Literal["one", "all"] = Field(default="one", description="of a vector of states")
+    point: int | None = Field(default=None, ge=0, description="of a trajectory, instead of a drawn one")
+    trigger: Trigger | None = None
+
+    @model_validator(mode="after")
+    def _refuse_nonsense(self) -> FaultSpec:
+        problem = next(self._problems(), None)
+        if problem is not None:
+            raise ValueError(problem)
+        return self
+
+    def _problems(self) -> Iterator[str]:
+        """The contradictions between the fields, one line each."""
+        if self.level == "source":
+            yield from self._source_problems()
+        elif self.components != "one" or self.point is not None:
+            yield "components and point go with level source"
+        stuck = (self.stuck_value, self.stuck_instructions)
+        if self.model == "stuck_at" and None in stuck:
+            yield "model stuck_at needs stuck_value (0 or 1) and stuck_instructions (how many)"
+        if self.model != "stuck_at" and stuck != (None, None):
+            yield f"stuck_value and stuck_instructions go with model stuck_at, not {self.model}"
+        if self.model in ("opcode", "memory") and self.register_class != "any":
+            yield f"model {self.model} strikes no register: leave out register_class"
+        if self.model == "opcode" and (self.operand, self.field) != ("any", "any"):
+            yield "model opcode strikes no operand: leave out operand and field"
+        if self.field != "any":
+            yield from self._field_problems()
+        if self.bit_numbers is not None:
+            yield from self._bit_number_problems(self.bit_numbers)
+
+    def _source_problems(self) -> Iterator[str]:
+        if self.model not in ("bitflip", "none"):
+            yield f"model {self.model} goes with level instruction; at level source: bitflip, none"
+        if (self.operand, self.register_class, self.scope) != ("any", "any", "thread"):
+            yield "operand, register_class and scope go with level instruction: a message has none"
+
+    def _field_problems(self) -> Iterator[str]:
+        if self.register_class not in ("vector", "any"):
+            yield (
+                f"field {self.field} is one of a floating-point number: register_class vector or any, "
+                f"not {self.register_class}"
+            )
+        if self.bit_numbers is not None:
+            yield "field and bit_numbers both say which bits: leave out one"
+        largest = {"sign": 1, "exponent": 11, "mantissa": 52}.get(self.field, self.bits)
+        if self.bits > largest:
+            yield f"bits: {self.field} has at most {largest}, got {self.bits}"
+
+    def _bit_number_problems(self, numbers: tuple[int, ...]) -> Iterator[str]:
+        if not numbers or len(set(numbers)) < len(numbers) or not all(0 <= one < 512 for one in numbers):
+            yield f"bit_numbers: expected distinct numbers from 0 to 511, got {list(numbers)}"
+        if self.bits not in (1, len(numbers)):
+            yield "bits counts bits to be drawn, bit_numbers names them: leave out bits"
+
+
+class Site(Strict):
+    """One dynamic instruction of a call, so that it can be found again.
+
+    It is ``steps`` instructions after the ``hit``-th pass of the thread through ``offset`` of ``module``
+    (no module: the address itself) since the call began; without a ``hit``, after the call's beginning.
+    ``code`` and ``registers`` are what must be found there before a bit is flipped; empty: not known yet.
+    """
+
+    precision: Literal["exact", "occurrence"] = Field(description="how exactly this is the drawn instruction")
+    step: int | None = Field(default=None, ge=0, description="number in the call, counted from 0; exact only")
+    module: str = ""
+    build_id: str = ""
+    offset: int = Field(default=0, ge=0)
+    hit: int = Field(default=0, ge=0)
+    steps: int = Field(default=0, ge=0)
+    code: str = Field(default="", description="bytes of the instruction")
+    registers: str = Field(default="", description="hash of those that it reads")
+
+
+class Trigger(Strict):
+    """When a fault strikes: in which call of the kernel, and where in it.
+
+    The call is the ``invocation``-th, or the first that begins at ``after_ns`` of virtual time or later.
+    The place is a ``site``, or ``cpu_ns`` of thread time after the beginning. What is not given is drawn:
+    the call uniformly ``over`` the golden twin's calls or its flight time, the place by the injector when
+    the call comes. The specification in an outcome has all of it.
+    """
+
+    over: Literal["calls", "time"] = "calls"
+    invocation: int | None = Field(default=None, ge=0)
+    after_ns: int | None = Field(default=None, ge=0)
+    site: Site | None = None
+    cpu_ns: int | None = Field(default=None, ge=0)
+
+    def names(self, number: int, now_ns: int) -> bool:
+        """Whether it names the call or message of that number, at this virtual time."""
+        if self.invocation is not None:
+            return number == self.invocation
+        return self.after_ns is not None and now_ns >= self.after_ns
+
+    @property
+    def names_a_call(self) -> bool:
+        """Whether it need not be drawn which call is struck."""
+        return self.invocation is not None or self.after_ns is not None
+
+
+class Limits(Strict):
+    """When a mission is given up, and how a failed node comes back."""
+
+    mission_time_s: float = Field(default=200.0, gt=0, le=3600, description="virtual time")
+    restarts: int = Field(default=3, ge=0, le=100, description="of one node")
+    restart_delay_s: float = Field(default=0.5, ge=0, le=60, description="virtual time")
+    hang_cpu_s: float = Field(default=3.0, gt=0, le=600, description="thread time within one step")
+
+
+class Area(Strict):
+    """The level rectangle that a mission covers: corners (x, y) in the world frame.
+
+    A corner that is left out follows from the world's start and goal (:func:`sim.mission.area.corners`).
+    """
+
+    lower: tuple[float, float] | None = None
+    upper: tuple[float, float] | None = None
+    swath_m: float = Field(default=8.0, ge=1, le=50, description="width that one pass of a sweep covers")
+    coverage: float = Field(default=0.9, gt=0, le=1, description="covered part of the area that is enough")
+
+
+class MissionSpec(Strict):
+    """Everything that a flight depends on: same specification, same bytes.
+
+    ``world``, ``airframe`` and ``platform`` are a name or a definition of one's own. Where a
+    specification is written, ``profile`` stands for the fields of a profile that it leaves out.
+    """
+
+    mission: Literal["navigation", "scanning", "mapping", "search", "delivery"] = "navigation"
+    area: Area = Area()
+    world: World = "sparse"
+    seed: Seed = Field(default=0, ge=0, lt=2**32)
+    airframe: Airframe = "airsim"
+    planner: str = "rrt_star"
+    clock: Literal["lockstep", "realtime"] = "lockstep"
+    platform: Platform = "i9-9940x"
+    energy: Literal["airframe", "regression", "momentum"] = "airframe"
+    camera: Camera = Camera()
+    imu: Imu = Imu()
+    odometry: Odometry = Odometry()
+    mapping: MapSettings = MapSettings()
+    motion: Motion = Motion()
+    wind: Wind = Wind()
+    detector: DetectorSpec | None = None
+    stack: OwnStack | None = None
+    fault: FaultSpec | None = None
+    limits: Limits = Limits()
+
+    def own_stage(self, stage: str) -> OwnStage | None:
+        """The own stage that replaces a stage of ours, if there is one."""
+        return None if self.stack is None else self.stack.of(stage)
+
+    def kernels_before(self, topic: Topic) -> tuple[str, ...]:
+        """The kernels that at least run between a topic's trigger and its message."""
+        if self.own_stage(topic.publisher) is not None:
+            return (topic.publisher,)
+        return tuple(self.planner if name == PLANNER else name for name in topic.after)
+
+    @property
+    def world_name(self) -> str:
+        """The name of the mission's world."""
+        return _label(self.world)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _expand_profile(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or "profile" not in given:
+            return given
+        fields = dict(given)
+        name = fields.pop("profile")
+        if not isinstance(name, str) or name not in PROFILES:
+            message = f"unknown profile {name!r}; known: {', '.join(PROFILES)}"
+            raise ValueError(message)
+        return {**PROFILES[name], **fields}

@@ -1,0 +1,71 @@
+"""What a world is made from: the one definition, shared by files, specifications and the simulator.
+
+World frame: x east, y north, z up, metres. ``sim.world`` makes a world out of it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from services.models.base import Strict
+
+Point = tuple[float, float, float]
+Box = tuple[float, float, float, float, float, float]
+
+DRAWN_TOP_M = 20.0
+"""Height of a drawn obstacle, for the paper's "unbounded": twice the flight ceiling."""
+
+
+class _Surroundings(Strict):
+    """What all worlds have: a start, a goal and the space to fly in.
+
+    The default goal is 50 m from the start (facts page, "mission"), along the middle of a row of cells:
+    on the border between two rows obstacles would at most graze the straight line. The area is ten cells
+    of 10 m by ten, the ceiling the planner's upper limit.
+    """
+
+    name: str = Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9._-]+$")
+    start: Point = (-25.0, 5.0, 2.0)
+    goal: Point = (25.0, 5.0, 2.0)
+    lower: Point = (-50.0, -50.0, 0.0)
+    upper: Point = (50.0, 50.0, 10.0)
+
+
+class GridWorld(_Surroundings):
+    """The paper's generator (section VI): obstacles scattered over the cells of a grid.
+
+    ``density`` is the probability that a cell holds an obstacle, ``obstacle_m`` the side of its square
+    cross-section.
+    """
+
+    kind: Literal["grid"]
+    density: float = Field(ge=0, le=1)
+    obstacle_m: float = Field(gt=0, le=1000)
+    cell_m: float = Field(default=10.0, gt=0, le=1000)
+
+
+class ClusteredWorld(_Surroundings):
+    """Gaussian congestion, after MAVBench's environment generator.
+
+    An obstacle is as probable as ``density`` at a centroid (x, y) and less by a Gaussian of standard
+    deviation ``spread_m`` away from the nearest one. At least ``gap_m`` is free between two obstacles.
+    """
+
+    kind: Literal["clustered"]
+    centroids: tuple[tuple[float, float], ...] = Field(min_length=1, max_length=100)
+    spread_m: float = Field(gt=0, le=1000)
+    density: float = Field(ge=0, le=1)
+    obstacle_m: float = Field(gt=0, le=1000)
+    gap_m: float = Field(ge=0, le=1000)
+
+
+class BoxWorld(_Surroundings):
+    """A world made by hand or exported: axis-aligned boxes, lower corner x y z, upper corner x y z."""
+
+    kind: Literal["boxes"]
+    boxes: tuple[Box, ...] = Field(max_length=100_000)
+
+
+WorldDefinition = Annotated[GridWorld | ClusteredWorld | BoxWorld, Field(discriminator="kind")]

@@ -1,0 +1,119 @@
+"""Kernel calls of a node: counted, timed, stopped at the injector's gate if armed; they take virtual time."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Protocol
+
+import numpy as np
+
+from services.bus import proxy_link, session
+from services.bus.proxy_link import NodeLink
+from services.runtime.latency import Latency
+from services.runtime.probe_gate import stand_at_gate
+from services.runtime.setup import NodeSetup
+
+GATE_TIMEOUT_S = 60.0
+
+GATE_SIGNAL = signal.SIGURG
+"""Marks the beginning and the end of an armed call to the tracer; ignored by default."""
+
+
+class TimedNode(Protocol):
+    """A node whose virtual time passes with its kernel calls."""
+
+    now_ns: int
+
+
+class KernelTimer:
+    """Runs the kernel calls of one node and lets the time pass that they take on the mission's platform."""
+
+    def __init__(self, setup: NodeSetup, proxy: NodeLink, page: np.void) -> None:
+        self._name = setup.name
+        self._kernels = setup.kernels
+        self._proxy = proxy
+        self._page = page
+        self._page["gated"] = 0
+        self._fault = setup.spec.fault
+        self._latencies: Mapping[str, Latency] = {
+            kernel: Latency(stated, setup.spec.seed, kernel, setup.life)
+            for kernel, stated in setup.latencies.items()
+        }
+
+    @contextmanager
+    def call(self, kernel: str, node: TimedNode) -> Iterator[None]:
+        """Run a kernel's call as the body of a ``with`` statement; ``node.now_ns`` is then its end.
+
+        What was published before goes out: it does not depend on what becomes of us.
+        """
+        self._proxy.send()
+        page, index = self._page, self._kernels.index(kernel)
+        invocation = int(page["invocations"][index])
+        # Before the call: one that ends in a crash is not to be armed again after the restart.
+        page["invocations"][index] += 1
+        armed = self._is_armed(kernel, invocation, node.now_ns)
+        in_probe = armed and self._gate("enter", kernel, invocation, node.now_ns)
+        begin = self._cpu_ns()
+        if armed:
+            signal.raise_signal(GATE_SIGNAL)
+        try:
+            yield
+        finally:
+            if in_probe:
+                signal.raise_signal(GATE_SIGNAL)
+                os._exit(0)
+        if armed:
+            signal.raise_signal(GATE_SIGNAL)
+        spent = self._cpu_ns() - begin
+        if armed:
+            self._gate("leave", kernel, invocation, node.now_ns)
+        page["cpu_ns"][index] += spent
+        page["cpu_squares_ns2"][index] += float(spent) ** 2
+        page["last_cpu_ns"][index] = spent
+        node.now_ns = self.end_ns(node.now_ns, kernel, invocation)
+
+    def end_ns(self, now_ns: int, kernel: str, invocation: int) -> int:
+        """The time at which a call that began at ``now_ns`` ends on the mission's platform."""
+        return now_ns + self._latencies[kernel].of(invocation)
+
+    def slow_ns(self, kernel: str) -> int:
+        """The virtual time that a kernel seldom exceeds (one call in twenty) on the mission's platform."""
+        return self._latencies[kernel].slow_ns
+
+    def _is_armed(self, kernel: str, invocation: int, now_ns: int) -> bool:
+        """Whether this call is the one that the fault is for; at most one is between two restarts."""
+        fault = self._fault
+        if fault is None or fault.target != kernel or fault.trigger is None:
+            return False
+        if not fault.trigger.names(invocation, now_ns):
+            return False
+        self._fault = None
+        return True
+
+    def _gate(self, phase: str, kernel: str, invocation: int, now_ns: int) -> bool:
+        """Let the injector seize or detach from this process; True in a probe that it sends ahead.
+
+        While it has, a signal to ourselves marks where the call begins and ends: the tracer sees it and
+        takes it away, and without a tracer it is ignored.
+        """
+        request = json.dumps(
+            {"phase": phase, "kernel": kernel, "invocation": invocation, "virtual_time_ns": now_ns}
+        )
+        self._page["gated"] = 1
+        if self._stand_at_gate(session.gate_key(self._name), request):
+            return True
+        self._page["gated"] = 0
+        return False
+
+    def _stand_at_gate(self, key: str, request: str) -> bool:
+        """Ask at the gate until it opens; True in a probe that is sent ahead."""
+        return stand_at_gate(self._proxy, proxy_link.question(key, request.encode(), GATE_TIMEOUT_S))
+
+    def _cpu_ns(self) -> int:
+        """Processor time of the thread or program that computes."""
+        return time.thread_time_ns()

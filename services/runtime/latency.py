@@ -1,0 +1,40 @@
+"""Latencies of kernels in virtual time: seeded jitter above a hard lower bound."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from services.models.platform import KernelLatency
+from services.runtime.rng import generator
+
+_BLOCK = 256
+_SLOW = 2.0
+"""Only one draw in twenty is farther than these many standard deviations above the mean: exp(-3)."""
+
+
+class Latency:
+    """The latencies of one kernel in one flight.
+
+    The draw of an invocation is keyed by (``seed``, ``kernel``, ``life``, invocation), so it is the same
+    in a flight and in its golden twin; draws are made ahead, block by block. Whole nanoseconds.
+    """
+
+    def __init__(self, stated: KernelLatency, seed: int, kernel: str, life: int) -> None:
+        mean_ns = stated.mean_ms * 1e6
+        self._spread_ns = mean_ns * stated.jitter
+        self.least_ns = round(mean_ns - self._spread_ns)
+        self.slow_ns = round(mean_ns + _SLOW * self._spread_ns)
+        self._key = seed, f"latency {kernel}", life
+        self._block = -1
+        self._draws: list[int] = []
+
+    def of(self, invocation: int) -> int:
+        """The latency of this invocation in nanoseconds; never less than ``least_ns``."""
+        if not self._spread_ns:
+            return self.least_ns
+        block, place = divmod(invocation, _BLOCK)
+        if block != self._block:
+            extra = generator(*self._key, block).exponential(self._spread_ns, _BLOCK)
+            self._draws = (self.least_ns + np.rint(extra).astype(np.int64)).tolist()
+            self._block = block
+        return self._draws[place]

@@ -1,0 +1,67 @@
+"""Counters of a node in a page of memory shared with its supervisor; they outlive the node.
+
+The page outlives the node, so the supervisor can read at which virtual time a node crashed and whether
+it still computes. It carries nothing that influences a flight.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+
+import numpy as np
+
+MAX_KERNELS = 16
+
+_LAYOUT = np.dtype(
+    [
+        ("step_ns", np.int64),  # virtual time of the step under way or last finished
+        ("computing", np.int64),  # 1 within a step, 0 while waiting
+        ("gated", np.int64),  # 1 while it waits at the injector's gate
+        ("program", np.int64),  # pid of the program that computes in the node's place, 0 for none
+        ("asking", np.int64),  # 1 while it waits for the detector's verdict
+        ("steps", np.int64),
+        ("dropped", np.int64),  # triggers superseded while busy
+        ("malformed", np.int64),  # messages refused because they make no sense
+        ("outdated", np.int64),  # messages refused because there are newer ones
+        ("alarms", np.int64),  # outputs found wrong
+        ("recomputed", np.int64),  # outputs made again
+        ("ungated", np.int64),  # outputs without a verdict, as the detector had died
+        ("compute_wall_ns", np.int64),
+        ("messaging_wall_ns", np.int64),
+        ("waiting_wall_ns", np.int64),
+        ("invocations", np.int64, (MAX_KERNELS,)),  # by the order of the node's kernel names
+        ("cpu_ns", np.int64, (MAX_KERNELS,)),
+        ("cpu_squares_ns2", np.float64, (MAX_KERNELS,)),
+        ("last_cpu_ns", np.int64, (MAX_KERNELS,)),
+        # What follows is the proxy's: it depends on when things come, so no node may look at it.
+        ("late", np.int64),  # ticks begun more than a tick late, in real time
+        ("recovered", np.int64),  # messages fetched again from the recorder
+        ("unreadable", np.int64),  # messages refused because they are of no form
+        ("doubled", np.int64),  # messages refused because they are here already
+    ]
+)
+
+
+class SharedStats:
+    """One node's page. The supervisor creates it, node and proxy map the same file descriptor."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        self._map = mmap.mmap(descriptor, _LAYOUT.itemsize)
+        self._record = np.frombuffer(self._map, dtype=_LAYOUT)
+        self.page: np.void = self._record[0]
+
+    @classmethod
+    def create(cls, name: str) -> SharedStats:
+        """A new page in anonymous memory, gone with its last owner."""
+        descriptor = os.memfd_create(f"zenfi-{name}", os.MFD_CLOEXEC)
+        os.ftruncate(descriptor, _LAYOUT.itemsize)
+        return cls(descriptor)
+
+    def close(self) -> None:
+        """Unmap the page and close its descriptor."""
+        del self.page
+        del self._record
+        self._map.close()
+        os.close(self.descriptor)

@@ -1,0 +1,98 @@
+"""Our numbers beside the paper's are what they are said to be."""
+
+from dataclasses import replace
+from math import exp
+
+import pytest
+
+from dashboard.analysis.paper import FINDINGS, STUDIES, success, worst
+from dashboard.campaigns.flight_record import FlightRecord
+from dashboard.campaigns.presets import presets
+from dashboard.campaigns.spec import Cell, cells, load_campaign
+from dashboard.campaigns.statistics.proportions import wilson
+from dashboard.web.pages.studies import about, claims
+from tests.dashboard.commands.test_kernels import run
+from tests.dashboard.web.components.test_views import record
+
+
+def flown(arm: str, fault: str, *times_s: float, twin_s: float = 10.0) -> list[FlightRecord]:
+    """Successful flights of a cell in Factory beside twins of ``twin_s``."""
+    cell = Cell(arm, "factory", fault)
+    return [
+        replace(record(n, time_s=t, twin_success=True, twin_flight_time_s=twin_s), cell=cell)
+        for n, t in enumerate(times_s)
+    ]
+
+
+def test_success_is_a_part_and_the_worst_is_beside_its_own_twin() -> None:
+    assert success([]) is None
+    assert success([record(0), record(1, success=False)]) == 50
+    assert worst([record(0)]) is None
+    assert worst(flown("bare", "planning", 11.0, 15.0)) == pytest.approx(50)
+
+
+def test_removed_is_the_part_of_the_worst_delay_that_is_gone() -> None:
+    records = flown("bare", "planning", 11.0, 15.0) + flown("gaussian", "planning", 11.0, 12.0)
+    found = {one.what: one.ours(records) for one in FINDINGS["table4"]}
+    assert found["factory: longest flight over its golden twin (Fig. 12)"] == pytest.approx(50)
+    assert found["factory, gaussian: of that delay removed (Fig. 12)"] == pytest.approx(60)
+    assert found["factory, autoencoder: of that delay removed (Fig. 12)"] is None
+    assert found["farm, injected: success"] is None
+
+
+def test_means_are_over_the_golden_ones() -> None:
+    records = [
+        replace(record(n, time_s=t), cell=Cell(arm, "sparse", ""))
+        for arm, times in (("golden", (10.0, 20.0)), ("3 bits", (15.0, 18.0)))
+        for n, t in enumerate(times)
+    ]
+    found = {one.what: one for one in FINDINGS["table3"]}
+    assert found["3 bits: time over golden, mean"].ours(records) == pytest.approx(10)
+    assert found["3 bits: time over golden, mean"].paper == pytest.approx(13.4, abs=0.05)
+
+
+def test_numbers_of_many_flights_have_intervals_and_the_longest_of_them_has_none() -> None:
+    times = (10.0, 12.0, 14.0)
+    records = [
+        replace(record(n, time_s=1.1 * t if arm == "3 bits" else t), cell=Cell(arm, "sparse", ""))
+        for arm in ("golden", "3 bits")
+        for n, t in enumerate(times)
+    ]
+    found = {one.what: one.interval(records) for one in FINDINGS["table3"]}
+    low, high = wilson(3, 3)
+    assert found["3 bits: success"] == (100 * low, 100 * high)
+    assert found["5 bits: success"] is None
+    # Of both means, 12 and 13.2, the standard error is 2 / 12 / sqrt(3) of itself.
+    over = found["3 bits: time over golden, mean"]
+    assert over is not None
+    spread = 1.959964 * (2 / 12) * (2 / 3) ** 0.5
+    assert over == pytest.approx((100 * (1.1 * exp(-spread) - 1), 100 * (1.1 * exp(spread) - 1)))
+    (longest, _) = FINDINGS["fig7"]
+    assert longest.interval(records) is None
+
+
+def test_what_the_paper_says_of_kernels_is_set_beside_ours() -> None:
+    study = {
+        "octomap": [run(0, "benign", "rax"), run(1, "sdc", "rax")],
+        "rrt": [run(0, "benign", "rax"), run(1, "benign", "rax")],
+        "rrt_star": [run(0, "benign", "rax"), run(1, "crash", "rax"), run(2, "sdc", "rax")],
+    }
+    told = {what: ours for what, _, ours in claims(study)}
+    assert told["most silent corruption (sdc)"].startswith("octomap: 50.0 (")
+    assert told["benign in octomap"].startswith("octomap: 50.0 (")
+    assert told["benign in the others, the smallest"].startswith("rrt_star: 33.3 (")
+    assert told["least silent corruption of the planners"].startswith("rrt: 0.0 (")
+    assert claims({"pid": [run(0, "benign", "rax")]})[1][2] == "-"
+
+
+def test_every_study_is_a_preset_whose_arms_the_findings_name() -> None:
+    assert set(STUDIES) <= {one.name for one in presets()}
+    assert set(FINDINGS) <= set(STUDIES)
+    for name, findings in FINDINGS.items():
+        assert "The paper" in about(name)
+        records = [
+            replace(record(n, twin_success=True, twin_flight_time_s=10.0), cell=cell)
+            for n, cell in enumerate(cells(load_campaign(name)))
+        ]
+        for one in findings:
+            assert one.ours(records) is not None, (name, one.what)

@@ -1,0 +1,62 @@
+"""A single flight, a fault by hand while it flies, and both flown again."""
+
+import pytest
+
+from dashboard.api.routes.flights import FlightInfo
+from dashboard.client import Client, RequestRefusedError
+from deploy.mission.replay import Replay
+from services.models.mission import FaultSpec, Limits, MissionSpec
+
+MISSION = MissionSpec(limits=Limits(mission_time_s=6))
+LONG = MissionSpec(mission="scanning", limits=Limits(mission_time_s=40))
+"""Under way for seconds on its watch: virtual seconds go by ten times as fast."""
+
+
+def test_a_flight_is_struck_by_hand_after_the_moment_it_was_asked_for(client: Client) -> None:
+    watched = client.flights.create(LONG).campaign.campaign
+    struck: FlightInfo | None = None
+    for event in client.watch(watched):
+        if event.kind == "flight" and event.data.present.time_s > 1 and struck is None:
+            struck = client.flights.inject(watched, FaultSpec(target="pid", seed=3))
+    assert struck is not None
+    assert list(client.watch(struck.campaign.campaign))[-1].data.phase == "done"
+
+    golden = client.runs.outcome(watched, client.flights.get(watched).run.id)
+    outcome = client.runs.outcome(struck.campaign.campaign, struck.run.id)
+    assert outcome.injection is not None
+    assert outcome.injection.status == "injected"
+    assert outcome.injection.precision == "exact"
+    assert outcome.injection.virtual_time_ns > 1e9
+    assert outcome.golden is not None
+    assert outcome.golden.digest == golden.digest
+
+    answer = client.runs.replay(struck.campaign.campaign, struck.run.id)
+    assert answer == Replay(answer="replayed")
+    run = client.flights.get(watched).run.id
+    with pytest.raises(RequestRefusedError, match="POST here records one"):
+        client.runs.series(watched, run)
+    recorded = client.runs.record_series(watched, run)
+    assert recorded.points[-1].qof == golden.qof
+    assert client.runs.series(watched, run) == recorded
+
+    with pytest.raises(RequestRefusedError, match="not under way") as refused:
+        client.flights.inject(watched, FaultSpec(target="pid"))
+    assert refused.value.problem.status == 409
+
+
+def test_nodes_and_processes_of_a_flight_are_shown(client: Client) -> None:
+    watched = client.flights.create(
+        MISSION.model_copy(update={"seed": 5, "clock": "realtime"})
+    ).campaign.campaign
+    seen: set[str] = set()
+    for event in client.watch(watched):
+        if event.kind == "flight" and not seen:
+            seen = {node.name for node in client.nodes()}
+            names = {process.name for process in client.processes().service}
+    assert {"sim", "perception", "planning", "control"} <= seen
+    assert "zenfi-sim" in names
+
+
+def test_a_flight_that_cannot_be_flown_is_refused(client: Client) -> None:
+    with pytest.raises(RequestRefusedError, match="unknown planner 'best'"):
+        client.flights.create(MissionSpec(planner="best"))

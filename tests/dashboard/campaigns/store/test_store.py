@@ -1,0 +1,281 @@
+"""The store keeps what it is given, exactly once, in the form that the migrations make."""
+
+import json
+import subprocess
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+
+from dashboard.campaigns.events import Begin, Flown, Leased, RunStarted
+from dashboard.campaigns.results.injection_groups import injected_flights
+from dashboard.campaigns.spec import Arm, CampaignSpec, Condition
+from dashboard.campaigns.state_machine import CampaignStates
+from dashboard.campaigns.store import postgresql
+from dashboard.campaigns.store.database import StoreFullError, migrate
+from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.schema import Base
+from dashboard.campaigns.store.store import BusyError, Store
+from deploy.config.check import BadSpecError
+from services.models.mission import FaultSpec, MissionSpec, Site, Trigger
+from services.models.outcome import NO_FLIGHT, InjectionRecord, NodeReport, Outcome
+
+SPEC = CampaignSpec(name="x", runs=3, arms=(Arm(name="a"), Arm(name="b", fault=FaultSpec(target="pid"))))
+
+
+def outcome(digest: str = "d") -> Outcome:
+    return Outcome(
+        spec=MissionSpec(),
+        result="timeout",
+        qof=NO_FLIGHT.model_copy(update={"flight_time_s": 1.5}),
+        digest=digest,
+        wall_s=2.0,
+        nodes={"control": NodeReport(result="sdc")},
+        topics={},
+        injection=InjectionRecord(status="injected", node="control", kernel="pid", invocation=1),
+    )
+
+
+def flown(store: Store, campaign: Campaign, run: int) -> CampaignStates:
+    """Write one flown run."""
+    states = store.states(campaign)
+    for event in (Begin(), Leased("l", (run,), 9.0), RunStarted("l", run), Flown("l", run)):
+        states.handle(event)
+    store.write(campaign, states, [run], {run: outcome()})
+    return states
+
+
+def test_a_campaign_is_stored_with_its_runs(store: Store) -> None:
+    campaign = store.create(SPEC)
+    assert campaign.label == "x-1"
+    assert store.create(SPEC).label == "x-2"
+    assert store.find("x-1") == store.find("1") == campaign
+    assert [run.cell for run in store.planned(campaign).values()] == [
+        ("a", "sparse", ""),
+        ("b", "sparse", ""),
+    ] * 3
+    assert store.states(campaign).count("queued") == 6
+    for label in ("x-9", "y-1", "x", ""):
+        with pytest.raises(BadSpecError, match="no campaign"):
+            store.find(label)
+
+
+def test_a_result_is_read_back_as_it_was_written(store: Store) -> None:
+    campaign = store.create(SPEC)
+    flown(store, campaign, 1)
+    first, *others = store.records(campaign)
+    assert first.phase == "done"
+    assert first.result is not None
+    assert (first.result.flight_time_s, first.result.digest) == (1.5, "d")
+    assert (first.result.injection, first.result.node, first.result.node_result) == (
+        "injected",
+        "control",
+        "sdc",
+    )
+    assert [other.result for other in others] == [None] * 5
+    assert store.find("x-1").phase == "running"
+    assert store.progress(campaign) == {"done": 1, "queued": 5}
+
+
+def test_a_second_result_of_a_run_is_refused_by_the_database(store: Store) -> None:
+    campaign = store.create(SPEC)
+    states = flown(store, campaign, 1)
+    with pytest.raises(sa.exc.IntegrityError):
+        store.write(campaign, states, [], {1: outcome("other")})
+    assert [one.result.digest for one in store.records(campaign) if one.result is not None] == ["d"]
+
+
+def test_state_and_result_are_written_together_or_not_at_all(store: Store) -> None:
+    campaign = store.create(SPEC)
+    states = flown(store, campaign, 1)
+    for event in (Leased("m", (2,), 9.0), RunStarted("m", 2), Flown("m", 2)):
+        states.handle(event)
+    with pytest.raises(sa.exc.IntegrityError):
+        store.write(campaign, states, [2], {2: outcome(), 1: outcome()})
+    assert store.states(campaign).runs[2].phase == "queued"
+
+
+def test_only_one_may_fly_a_campaign(store: Store) -> None:
+    campaign = store.create(SPEC)
+    assert not store.is_flying(campaign)
+    with store.lock(campaign):
+        assert store.is_flying(campaign)
+        with pytest.raises(BusyError, match="x-1"), store.lock(campaign):
+            pass
+    assert not store.is_flying(campaign)
+
+
+def test_a_full_store_says_so_and_keeps_what_it_has(store: Store) -> None:
+    campaign = store.create(SPEC)
+    flown(store, campaign, 1)
+    store.limit(1)
+    big = outcome("x" * 2_000_000)
+    with pytest.raises(StoreFullError, match="full"):
+        store.write(campaign, store.states(campaign), [], {2: big})
+    assert [one.phase for one in store.records(campaign)] == ["done"] + ["queued"] * 5
+
+
+FULL_DISK = """
+import pathlib, sys
+sys.path.insert(0, {root!r})
+from dashboard.campaigns.store.database import StoreFullError
+from dashboard.campaigns.spec import Arm, CampaignSpec
+from dashboard.campaigns.store.store import Store
+store = Store(pathlib.Path({folder!r}))
+try:
+    while True:
+        store.create(CampaignSpec(name="x", runs=200, arms=(Arm(name="a"),)))
+except StoreFullError as error:
+    print(error)
+print(len(store.campaigns()) > 0)
+"""
+
+
+def test_a_really_full_disk_is_told_as_such(tmp_path: Path) -> None:
+    root = str(Path(__file__).parents[4])
+    script = FULL_DISK.format(root=root, folder=str(tmp_path / "small"))
+    (tmp_path / "small").mkdir()
+    (tmp_path / "fill.py").write_text(script)
+    mounted = 'mount -t tmpfs -o size=2m none "$1" && exec "$2" "$3"'
+    arguments = [str(tmp_path / "small"), sys.executable, str(tmp_path / "fill.py")]
+    command = ["unshare", "--map-root-user", "--mount", "sh", "-c", mounted, "sh", *arguments]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    if answer.stderr.startswith(("unshare", "mount")):
+        pytest.skip(f"no private file systems here: {answer.stderr.strip()}")
+    assert answer.stdout.splitlines()[0].endswith("database or disk is full"), answer.stderr
+    assert answer.stdout.splitlines()[1] == "True"
+
+
+def test_artefacts_stay_inside(store: Store, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (store.folder / "artefacts" / "out").symlink_to(tmp_path / "elsewhere")
+    campaign = store.create(SPEC.model_copy(update={"artefacts": "out/there"}))
+    with pytest.raises(BadSpecError, match="leads out"):
+        store.artefacts(campaign)
+    assert store.artefacts(store.create(SPEC)).name == "x-2"
+
+
+def test_the_migrations_make_what_the_schema_says(store: Store) -> None:
+    with store.database.reading() as connection:
+        assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
+
+
+def test_a_store_of_an_older_form_is_brought_up_to_date(where: str, tmp_path: Path) -> None:
+    engine = raw(where, tmp_path)
+    with engine.connect() as connection:
+        migrate(connection, "0001")
+        connection.execute(
+            sa.text(
+                "INSERT INTO campaigns (name, spec, phase, reason, wish, created) "
+                "VALUES ('x', :spec, 'queued', '', '', '2026')"
+            ),
+            {"spec": SPEC.model_dump_json()},
+        )
+        connection.commit()
+    engine.dispose()
+    with closing(Store(where)) as store:
+        assert [one.label for one in store.campaigns()] == ["x-1"]
+        with store.database.reading() as connection:
+            assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
+
+
+DOCUMENTS = (("campaigns", "id", "spec"), ("runs", "id", "spec"), ("results", "run_id", "outcome"))
+"""Table, key and column of the JSON that is stored."""
+
+
+def older(document: Any) -> Any:
+    """A document as form 0003 had it: a site with ``rung``, a record with ``mode``, ``scouts``."""
+    if isinstance(document, list):
+        return [older(one) for one in document]
+    if not isinstance(document, dict):
+        return document
+    names = {"precision": "rung" if "steps" in document else "mode", "probes": "scouts"}
+    return {names.get(key, key): older(value) for key, value in document.items()}
+
+
+@pytest.mark.parametrize("of_arms", [True, False])
+def test_sites_and_records_of_an_older_form_keep_their_precision(
+    where: str, tmp_path: Path, *, of_arms: bool
+) -> None:
+    trigger = Trigger(invocation=3, site=Site(precision="occurrence", offset=1, hit=2))
+    fault = FaultSpec(target="pid", trigger=trigger)
+    arms = (Arm(name="a"), Arm(name="b", fault=fault if of_arms else None))
+    faults = () if of_arms else (Condition(name="none"), Condition(name="pid", fault=fault))
+    record = InjectionRecord(
+        status="injected",
+        reason='\N{GREEK SMALL LETTER MU} "mode"',
+        precision="rehearsed",
+        node="control",
+        kernel="pid",
+        invocation=3,
+        trigger=trigger,
+        probes=4,
+    )
+    flight = outcome().model_copy(update={"spec": MissionSpec(fault=fault), "injection": record})
+    with closing(Store(where)) as store:
+        campaign = store.create(SPEC.model_copy(update={"arms": arms, "faults": faults}))
+        states, planned = store.states(campaign), store.planned(campaign)
+        for event in (Begin(), Leased("l", (2,), 9.0), RunStarted("l", 2), Flown("l", 2)):
+            states.handle(event)
+        store.write(campaign, states, [2], {2: flight})
+    engine = raw(where, tmp_path)
+    with engine.begin() as connection:
+        before = documents(connection)
+        for (table, key, column), rows in zip(DOCUMENTS, before, strict=True):
+            for number, document in rows:
+                connection.execute(
+                    sa.text(f"UPDATE {table} SET {column} = :text WHERE {key} = :number"),  # noqa: S608 - ours
+                    {"text": json.dumps(older(document)), "number": number},
+                )
+        connection.execute(sa.text("UPDATE alembic_version SET version_num = '0003'"))
+        assert documents(connection) != before
+    with closing(Store(where)) as store:
+        with engine.connect() as connection:
+            assert documents(connection) == before
+        assert store.planned(store.find("x-1")) == planned
+        assert [one.record for one in injected_flights(store, campaign)] == [record]
+    engine.dispose()
+
+
+def documents(connection: sa.Connection) -> list[list[tuple[int, Any]]]:
+    """What is stored as JSON, by table and key."""
+    found = []
+    for table, key, column in DOCUMENTS:
+        rows = connection.execute(sa.text(f"SELECT {key}, {column} FROM {table} ORDER BY {key}"))  # noqa: S608
+        found.append([(number, json.loads(text)) for number, text in rows])
+    return found
+
+
+def raw(where: str, tmp_path: Path) -> sa.Engine:
+    """The database of a store that is not open."""
+    if "://" in where:
+        url = postgresql.parse(where)
+        plain = url.set(drivername="postgresql+pg8000", query={})
+        return sa.create_engine(plain, connect_args=postgresql.connect_arguments(url))
+    (tmp_path / "store").mkdir(exist_ok=True)
+    return sa.create_engine(f"sqlite:///{tmp_path / 'store' / 'zenfi.sqlite'}")
+
+
+def test_a_store_of_a_newer_zenfi_is_left_alone(where: str, tmp_path: Path) -> None:
+    with closing(Store(where)):
+        pass
+    engine = raw(where, tmp_path)
+    with engine.begin() as connection:
+        connection.execute(sa.text("UPDATE alembic_version SET version_num = '9999'"))
+    engine.dispose()
+    with pytest.raises(BadSpecError, match="newer"):
+        Store(where)
+
+
+def test_what_is_no_store_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "zenfi.sqlite").write_text("something else, long enough to be looked at" * 100)
+    with pytest.raises(BadSpecError, match="not a database"):
+        Store(tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(BadSpecError, match="--store"):
+        Store(tmp_path / "file" / "store")

@@ -1,0 +1,112 @@
+"""Whole flights over real processes and real Zenoh: they repeat, and they survive the death of a node."""
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from deploy.mission.flight import FlownMission, fly
+from deploy.mission.fork_server import ForkServer
+from services.models.mission import Limits, MissionSpec
+from tests.conftest import descendants, folders, forked, segments
+from tests.deploy.mid_flight import fly_and, fly_and_kill
+
+SPEC = MissionSpec(world="sparse", seed=7)
+
+
+@pytest.fixture(scope="module")
+def golden(server: ForkServer) -> FlownMission:
+    return fly(SPEC, server)
+
+
+@contextmanager
+def load(processors: int) -> Iterator[None]:
+    """Keep ``processors`` busy."""
+    children = []
+    for _ in range(processors):
+        child = os.fork()
+        if child == 0:
+            while True:
+                pass
+        children.append(child)
+    try:
+        yield
+    finally:
+        for child in children:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+
+
+def assert_nothing_is_left(server: ForkServer) -> None:
+    assert not forked(server.pid)
+    assert not folders(os.getpid())
+
+
+def test_a_golden_flight_arrives_without_collision(golden: FlownMission) -> None:
+    qof = golden.outcome.qof
+    assert golden.outcome.result == "success"
+    assert qof.success
+    assert 45.0 < qof.distance_m < 75.0
+    assert qof.min_clearance_m > 0.5
+    assert {report.result for report in golden.outcome.nodes.values()} == {"golden"}
+
+
+def test_the_same_specification_gives_the_same_bytes(golden: FlownMission, server: ForkServer) -> None:
+    again = fly(SPEC, server).outcome
+    assert again.digest == golden.outcome.digest
+    assert again.qof == golden.outcome.qof
+
+
+def test_a_loaded_machine_changes_nothing(golden: FlownMission, server: ForkServer) -> None:
+    with load(2 * len(os.sched_getaffinity(0))):
+        again = fly(SPEC, server).outcome
+    assert again.digest == golden.outcome.digest
+    assert again.qof == golden.outcome.qof
+
+
+def test_another_seed_gives_another_flight(golden: FlownMission, server: ForkServer) -> None:
+    other = fly(SPEC.model_copy(update={"seed": 8}), server).outcome
+    assert other.digest != golden.outcome.digest
+
+
+@pytest.mark.parametrize("platform", ["ideal"])
+def test_a_platform_without_latency_repeats_too(platform: str, server: ForkServer) -> None:
+    spec = SPEC.model_copy(update={"platform": platform, "limits": Limits(mission_time_s=3.0)})
+    first, second = fly(spec, server).outcome, fly(spec, server).outcome
+    assert first.result == "timeout"
+    assert first.digest == second.digest
+
+
+@pytest.mark.parametrize("name", ["perception", "planning", "control"])
+def test_a_killed_node_is_a_result_and_comes_back(name: str, server: ForkServer) -> None:
+    flight = fly_and_kill(server, SPEC, name)
+    report = flight.outcome.nodes[name]
+    assert report.result == "crash"
+    assert report.causes == ["SIGKILL"]
+    assert report.restarts == 1
+    assert flight.outcome.result == "success"
+    assert_nothing_is_left(server)
+
+
+def test_no_process_of_a_flight_has_shared_memory_that_it_could_leave(server: ForkServer) -> None:
+    found = []
+    before = segments([os.getpid()])
+    fly_and(server, SPEC, lambda: found.append(segments([os.getpid(), *descendants(os.getpid())])))
+    assert found == [before]
+
+
+def test_a_node_without_a_restart_left_stays_down(server: ForkServer) -> None:
+    spec = SPEC.model_copy(update={"limits": Limits(restarts=0, mission_time_s=60.0)})
+    flight = fly_and_kill(server, spec, "control")
+    assert flight.outcome.nodes["control"].result == "crash"
+    assert flight.outcome.result in ("collision", "timeout", "no_path")
+
+
+def test_a_killed_simulator_ends_the_mission(server: ForkServer) -> None:
+    flight = fly_and_kill(server, SPEC, "sim")
+    assert flight.outcome.result == "stack_failure"
+    assert flight.outcome.reason == "sim: SIGKILL"
+    assert flight.outcome.qof.flight_time_s > 0
+    assert_nothing_is_left(server)

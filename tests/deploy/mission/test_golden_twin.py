@@ -1,0 +1,41 @@
+"""A flight beside its golden twin."""
+
+import pytest
+
+from deploy.mission.fork_server import ForkServer
+from deploy.mission.golden_twin import PairFlyer
+from services.kernels import KERNELS
+from services.models.mission import FaultSpec, Limits, MissionSpec
+
+SHORT = Limits(mission_time_s=6.0)
+"""Every kernel is called in this time."""
+
+
+@pytest.fixture(scope="module")
+def pairs(server: ForkServer) -> PairFlyer:
+    return PairFlyer(server)
+
+
+@pytest.mark.parametrize(
+    "target", ["point_cloud", "octomap", "collision_check", "rrt_star", "trajectory", "pid"]
+)
+def test_all_of_an_injection_but_the_flip_is_benign(pairs: PairFlyer, target: str) -> None:
+    fault = FaultSpec(target=target, model="none", seed=4)
+    outcome = pairs.fly(MissionSpec(seed=7, fault=fault, limits=SHORT))
+    assert outcome.golden is not None
+    assert outcome.injection is not None
+    assert outcome.injection.status in ("not_activated", "not_reached")
+    assert outcome.injection.model == "none"
+    assert outcome.injection.before == outcome.injection.after == outcome.injection.read_back
+    assert outcome.nodes[KERNELS[target].stage].result == "benign"
+    assert (outcome.digest, outcome.qof) == (outcome.golden.digest, outcome.golden.qof)
+
+
+def test_the_record_says_which_fault_it_was(pairs: PairFlyer) -> None:
+    fault = FaultSpec(target="rrt_star", model="opcode", scope="kernel", seed=1)
+    injection = pairs.fly(MissionSpec(seed=7, fault=fault, limits=SHORT)).injection
+    assert injection is not None
+    assert (injection.model, injection.scope) == ("opcode", "kernel")
+    if injection.status == "injected":
+        assert injection.instruction_after
+        assert injection.module.startswith("libompl") or not injection.module

@@ -1,0 +1,159 @@
+"""An injected flight repeats from its own outcome, and says so when it cannot."""
+
+import json
+import os
+import signal
+import threading
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from dashboard.cli import zenfi
+from deploy.errors import InfrastructureError
+from deploy.mission.flight import fly
+from deploy.mission.fork_server import ForkServer
+from deploy.mission.golden_twin import PairFlyer
+from deploy.mission.replay import replay
+from deploy.mission.setups import spec_for_stages
+from services.models.mission import FaultSpec, Limits, MissionSpec, Site, Trigger
+from services.models.outcome import Outcome
+from tests.conftest import descendants, forked, node, wait_until
+
+SHORT = MissionSpec(seed=7, limits=Limits(mission_time_s=6.0))
+SPEC = SHORT.model_copy(update={"fault": FaultSpec(target="pid", register_class="vector", seed=2)})
+
+
+@pytest.fixture(scope="module")
+def pairs(server: ForkServer) -> PairFlyer:
+    return PairFlyer(server)
+
+
+@pytest.fixture(scope="module")
+def first(pairs: PairFlyer) -> Outcome:
+    return pairs.fly(SPEC)
+
+
+def site(outcome: Outcome) -> Site:
+    assert outcome.spec.fault is not None
+    assert outcome.spec.fault.trigger is not None
+    assert outcome.spec.fault.trigger.site is not None
+    return outcome.spec.fault.trigger.site
+
+
+def altered(outcome: Outcome, **changes: object) -> Outcome:
+    """The outcome with another site in its specification."""
+    fault = outcome.spec.fault
+    assert fault is not None
+    assert fault.trigger is not None
+    trigger = fault.trigger.model_copy(update={"site": site(outcome).model_copy(update=changes)})
+    changed = fault.model_copy(update={"trigger": trigger})
+    return outcome.model_copy(update={"spec": outcome.spec.model_copy(update={"fault": changed})})
+
+
+def test_the_outcome_says_at_which_instruction_the_fault_struck(first: Outcome, server: ForkServer) -> None:
+    assert first.injection is not None
+    assert first.injection.status == "injected"
+    assert first.injection.precision in ("exact", "occurrence")
+    assert first.injection.probes >= 2
+    assert first.injection.trigger == (first.spec.fault.trigger if first.spec.fault is not None else None)
+    assert site(first).code
+    assert site(first).registers
+    assert not forked(server.pid)  # probes and all
+
+
+def test_an_injected_flight_repeats(first: Outcome, server: ForkServer) -> None:
+    answer = replay(first, server)
+    assert (answer.answer, answer.differences) == ("replayed", [])
+
+
+def test_nothing_is_flipped_where_the_site_looks_otherwise(first: Outcome, server: ForkServer) -> None:
+    answer = replay(altered(first, registers="00"), server)
+    assert answer.answer == "diverged"
+    assert "registers" in answer.differences[0]
+
+
+def test_a_site_that_the_call_does_not_come_to_is_not_reached(first: Outcome, server: ForkServer) -> None:
+    answer = replay(altered(first, hit=10**6), server)
+    assert answer.answer == "not_reached"
+
+
+def test_the_command_answers_for_each_flight(first: Outcome, tmp_path: Path) -> None:
+    other = altered(first, code="00")
+    lines = [first.model_dump_json(by_alias=True), f'{{"outcome": {other.model_dump_json(by_alias=True)}}}']
+    file = tmp_path / "flights.json"
+    file.write_text("\n".join(lines))
+    answer = CliRunner().invoke(zenfi, ["replay", str(file), "--json"])
+    assert answer.exit_code == 1
+    assert [json.loads(line)["answer"] for line in answer.stdout.splitlines()] == ["replayed", "diverged"]
+
+
+def test_a_fault_at_a_time_of_the_flight_strikes_the_next_call(pairs: PairFlyer) -> None:
+    fault = FaultSpec(target="octomap", seed=1, trigger=Trigger(over="time", cpu_ns=100_000))
+    outcome = pairs.fly(SHORT.model_copy(update={"fault": fault}))
+    record = outcome.injection
+    assert record is not None
+    assert record.trigger is not None
+    assert record.trigger.after_ns is not None
+    assert 0 <= record.virtual_time_ns - record.trigger.after_ns < 1_000_000_000
+    assert record.trigger.invocation == record.invocation
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [("", "no flight"), ("{}", "line 1"), ("[1]", "line 1"), ("flight", "line 1")],
+)
+def test_what_is_no_outcome_is_refused(text: str, says: str, tmp_path: Path) -> None:
+    file = tmp_path / "outcome.json"
+    file.write_text(text)
+    answer = CliRunner().invoke(zenfi, ["replay", str(file)])
+    assert answer.exit_code != 0
+    assert says in str(answer.exception)
+
+
+PROBEED = SHORT.model_copy(update={"fault": FaultSpec(target="point_cloud", trigger=Trigger(invocation=5))})
+
+
+def kill_while_scouting(victim: str) -> None:
+    """Kill the injector or the node once the node has sent a probe."""
+
+    def scouting() -> bool:
+        perception = node(os.getpid(), "perception")
+        return perception is not None and bool(descendants(perception))
+
+    wait_until(scouting)
+    pid = node(os.getpid(), victim)
+    assert pid is not None
+    os.kill(pid, signal.SIGKILL)
+
+
+def test_an_injector_that_is_killed_while_it_probes_leaves_nobody(server: ForkServer) -> None:
+    killer = threading.Thread(target=kill_while_scouting, args=("injector",))
+    killer.start()
+    with pytest.raises(InfrastructureError, match="the injector died"):
+        fly(PROBEED, server)
+    killer.join()
+    assert not forked(server.pid)
+
+
+def test_a_node_that_is_killed_while_it_probes_is_a_result(server: ForkServer) -> None:
+    killer = threading.Thread(target=kill_while_scouting, args=("perception",))
+    killer.start()
+    outcome = fly(PROBEED, server).outcome
+    killer.join()
+    assert outcome.nodes["perception"].causes == ["SIGKILL"]
+    assert outcome.injection is not None
+    assert outcome.injection.status == "not_reached"
+    assert not forked(server.pid)
+
+
+def test_stages_are_told_no_more_of_a_replayed_fault_than_of_the_first(first: Outcome) -> None:
+    """What they are told lies in their memory, which has to be the same."""
+    before = altered(first, code="", registers="").spec
+    assert first.spec != before
+    assert spec_for_stages(first.spec) == spec_for_stages(before)
+    fault = spec_for_stages(first.spec).fault
+    assert fault is not None
+    assert fault.trigger is not None
+    assert first.injection is not None
+    assert fault.trigger.names(first.injection.invocation, 0)

@@ -1,0 +1,113 @@
+"""Processes that begin with the same memory, whoever starts them and whatever lies about."""
+
+import os
+import subprocess
+import sys
+import time
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+
+from injector.reproducible import launch
+
+ROOT = Path(__file__).parents[3]
+TELLING = """
+import ctypes, os
+libc = ctypes.CDLL(None)
+libc.getauxval.restype = libc.malloc.restype = ctypes.c_void_p
+random = ctypes.string_at(libc.getauxval(25), 16).hex()
+block = libc.malloc(24)
+libc.free(ctypes.c_void_p(block))
+print(os.urandom(8).hex())
+print(random, ctypes.string_at(block + 8, 8).hex(), hex(block), hex(id(object())))
+"""
+
+
+def told(folder: Path, module: str = "telling.told") -> str:
+    surroundings = launch.environment(os.environ) | {"PYTHONPATH": str(folder)}
+    command = launch.command(module, "argument")
+    return subprocess.run(
+        command, env=surroundings, cwd=folder, capture_output=True, text=True, check=True
+    ).stdout
+
+
+def package(folder: Path) -> Path:
+    """A folder with our packages and one more."""
+    for ours in ("injector", "services"):
+        (folder / ours).symlink_to(ROOT / ours)
+    (folder / "telling").mkdir()
+    (folder / "telling" / "__init__.py").touch()
+    (folder / "telling" / "told.py").write_text(TELLING)
+    told(folder)  # compiles
+    return folder
+
+
+def test_the_keys_and_the_addresses_are_those_of_every_other(tmp_path: Path) -> None:
+    folder = package(tmp_path)
+    keys = told(folder).split()
+    assert told(folder).split() == keys
+    # Here they are others each time, but for where things lie.
+    drawn = [subprocess.check_output([sys.executable, "-c", TELLING], text=True).split() for _ in range(2)]
+    assert all(one != other for one, other, key in zip(*drawn, keys, strict=True) if not key.startswith("0x"))
+
+
+def test_a_file_beside_our_packages_changes_nothing(tmp_path: Path) -> None:
+    folder = package(tmp_path)
+    before = told(folder)
+    for number in range(500):
+        (folder / f"a_recording_{number}").touch()
+    assert told(folder) == before
+
+
+def test_all_that_python_would_find_beside_our_packages_is_found(tmp_path: Path) -> None:
+    """In an installation that is all that they need."""
+    folder = package(tmp_path)
+    (folder / "single.py").touch()
+    (folder / "namespace").mkdir()
+    (folder / "namespace" / "part.py").touch()
+    (folder / f"extension{EXTENSION_SUFFIXES[0]}").touch()
+    (folder / "another-1.dist-info").mkdir()
+    (folder / "another-1.dist-info" / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: another\nVersion: 1\n"
+    )
+    imports = (
+        "from importlib.metadata import version\n"
+        "from importlib.util import find_spec\n"
+        "import namespace.part, single, telling\n"
+        "print(*(one.__file__ for one in (namespace.part, single, telling)))\n"
+        "print(find_spec('extension').origin, version('another'), find_spec('nowhere'))\n"
+    )
+    (folder / "telling" / "imports.py").write_text(imports)
+    found = [folder / "namespace" / "part.py", folder / "single.py", folder / "telling" / "__init__.py"]
+    assert told(folder, "telling.imports").splitlines() == [
+        " ".join(map(str, found)),
+        f"{folder / 'extension'}{EXTENSION_SUFFIXES[0]} 1 None",
+    ]
+
+
+def test_a_file_beside_our_packages_takes_no_place_in_the_standard_library(tmp_path: Path) -> None:
+    folder = package(tmp_path)
+    (folder / "statistics.py").write_text("raise RuntimeError('not the standard library')\n")
+    (folder / "telling" / "counts.py").write_text("import statistics\nprint(statistics.mean([1, 3]))\n")
+    assert told(folder, "telling.counts") == "2\n"
+
+
+def test_one_that_had_to_compile_begins_again_with_the_same_memory(tmp_path: Path) -> None:
+    folder = package(tmp_path)
+    program = (
+        "import os, sys\n"
+        "from telling import other\n"
+        "from injector.reproducible.launch import begin_again_if\n"
+        "print(other.NAME, os.getpid(), flush=True)\n"
+        "begin_again_if(False)\n"
+        "print([hex(id(one)) for one in (other, *os.environ.items(), *sys.argv)], os.environ, sys.argv)\n"
+    )
+    (folder / "telling" / "twice.py").write_text(program)
+    other = folder / "telling" / "other.py"
+    other.write_text("NAME = 'one'\n")
+    *compiled, memory = told(folder, "telling.twice").splitlines()
+    assert len(compiled) == 2  # the same process, again
+    assert len(set(compiled)) == 1
+    time.sleep(1.5)  # what was written just before a start might have been written since
+    once = told(folder, "telling.twice").splitlines()
+    assert len(once) == 2
+    assert once[1] == memory
