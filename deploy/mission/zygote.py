@@ -31,6 +31,7 @@ from numba.core import event as numba_event
 from deploy.config.processes import FOREIGN
 from injector.reproducible import fork_loop, pid_namespace
 from injector.reproducible.fixed_entropy import CONSTANT_RANDOM
+from injector.reproducible.forked_question import answered_by_a_fork
 from injector.reproducible.launch import begin_again_if
 from injector.reproducible.sigtrap_guard import guard_against_traps
 from services.bus.messages import prepare
@@ -120,11 +121,13 @@ def _imported(names: Mapping[str, str]) -> dict[str, ModuleType]:
     with _compiling_alone():
         for module in (fork_loop, probe_gate, *modules.values()):
             module.warm_up()
-    threads = len(list(Path("/proc/self/task").iterdir()))
-    if threads != 1:
-        message = f"the fork server has {threads} threads; a fork of it would be broken"
-        raise ForkError(message)
+    if not answered_by_a_fork(_parent_has_one_thread):
+        raise ForkError("the fork server has several threads; a fork of it would be broken")
     return modules
+
+
+def _parent_has_one_thread() -> bool:
+    return len(list(Path(f"/proc/{os.getppid()}/task").iterdir())) == 1
 
 
 @contextmanager

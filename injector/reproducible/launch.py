@@ -13,10 +13,10 @@ import site
 import sys
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 
 from injector.reproducible.fixed_entropy import fix_keys
+from injector.reproducible.forked_question import answered_by_a_fork
 from services.system.libc import libc
 from services.system.process_stat import CLOCK_TICKS_PER_S, process_stat
 
@@ -73,13 +73,7 @@ def begin_again_if(compiled: bool, stdin: int = 0) -> None:
     was started again has the same memory as who was not, so a fork looks which of them this is. ``stdin`` is
     where what was its standard input is now.
     """
-    pid = os.fork()
-    if not pid:
-        status = os.EX_SOFTWARE
-        with suppress(BaseException):
-            status = int(not _is_open(_SECOND) and (compiled or _wrote_byte_code(os.getppid())))
-        os._exit(status)
-    if os.waitpid(pid, 0)[1]:
+    if answered_by_a_fork(lambda: not _is_open(_SECOND) and (compiled or _wrote_byte_code(os.getppid()))):
         os.dup2(stdin, 0)
         os.dup2(0, _SECOND)
         _begin_again()

@@ -9,9 +9,9 @@ Whatever runs in a namespace dies with its pid 1. From outside all goes by the p
 from __future__ import annotations
 
 import os
-from contextlib import suppress
 from pathlib import Path
 
+from injector.reproducible.forked_question import answered_by_a_fork
 from services.system.libc import checked, libc
 from services.system.lifeline import die_with_parent
 
@@ -40,7 +40,7 @@ def begin() -> int:
 
 
 def _begin() -> int:
-    if not _is_privileged():
+    if not answered_by_a_fork(_is_privileged):
         _go_on_in_a_user_namespace()
     home = os.open("/proc/self/ns/pid", os.O_RDONLY | os.O_CLOEXEC)
     # Nothing is done for the first time when a process is forked: all are to begin with the same memory.
@@ -51,16 +51,11 @@ def _begin() -> int:
 
 def is_allowed() -> bool:
     """Whether pids can be had so here, found out by doing it; only a process of one thread may ask."""
-    pid = os.fork()
-    if not pid:
-        status = os.EX_NOPERM
-        with suppress(BaseException):
-            status = _tried()
-        os._exit(status)
-    return os.waitpid(pid, 0)[1] == 0
+    return answered_by_a_fork(_tried)
 
 
-def _tried() -> int:
+def _tried() -> bool:
+    """Whether a process can be pid 2 of a namespace; this one is good for nothing afterwards."""
     _begin()
     checked(libc.unshare(NEWPID))
     first = os.fork()
@@ -69,12 +64,15 @@ def _tried() -> int:
         if not second:
             os._exit(os.EX_OK if os.getpid() == 2 else os.EX_NOPERM)
         os._exit(os.waitstatus_to_exitcode(os.waitpid(second, 0)[1]))
-    return os.waitstatus_to_exitcode(os.waitpid(first, 0)[1])
+    return os.waitpid(first, 0)[1] == 0
 
 
 def _is_privileged() -> bool:
-    """Whether we may make namespaces, and trace into them: nobody there can name a tracer outside (Yama)."""
-    status = Path("/proc/self/status").read_text()
+    """Whether our parent may make namespaces, and trace into them.
+
+    Nobody there can name a tracer outside (Yama).
+    """
+    status = Path(f"/proc/{os.getppid()}/status").read_text()
     effective = int(status.partition("CapEff:")[2].split(maxsplit=1)[0], 16)
     return bool(effective >> _CAP_SYS_ADMIN & effective >> _CAP_SYS_PTRACE & 1)
 
