@@ -67,7 +67,7 @@ def _rgb() -> Capability:
 def _pids() -> Capability:
     """Check pid namespaces; never a failure, but without them some faults do not replay."""
     command = [sys.executable, "-P", "-m", "injector.reproducible.pid_namespace"]
-    found = subprocess.run(command, env=launch.environment(os.environ), check=False)  # noqa: S603 - our own
+    found = subprocess.run(command, env=launch.environment(os.environ, compiled="doctor"), check=False)  # noqa: S603 - our own
     line = "nodes have the same pids in every flight"
     if found.returncode:
         line = (

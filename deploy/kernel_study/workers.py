@@ -23,7 +23,7 @@ class StudyWorker:
         try:
             self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
                 launch.command("injector.kernel_study.worker", kernel),
-                env=launch.environment(os.environ),
+                env=launch.environment(os.environ, compiled=f"study-{kernel}"),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 bufsize=0,

@@ -57,7 +57,7 @@ class ForkServer:
         # A session of its own: Ctrl-C at the terminal is the supervisor's business.
         self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
             launch.command("deploy.mission.zygote", server_argument(os.getpid())),
-            env=launch.environment(os.environ) | {"ZENOH_RUNTIME": ZENOH_RUNTIME},
+            env=launch.environment(os.environ, compiled="flight") | {"ZENOH_RUNTIME": ZENOH_RUNTIME},
             start_new_session=True,
             stdin=papers.fileno(),
         )

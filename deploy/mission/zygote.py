@@ -30,7 +30,8 @@ from numba.core import event as numba_event
 
 from deploy.config.processes import FOREIGN
 from injector.reproducible import fork_loop, pid_namespace
-from injector.reproducible.fixed_entropy import CONSTANT_RANDOM
+from injector.reproducible.bootstrap import STANDARD
+from injector.reproducible.fixed_libc import FIXED_LIBC
 from injector.reproducible.forked_question import answered_by_a_fork
 from injector.reproducible.launch import begin_again_if
 from injector.reproducible.sigtrap_guard import guard_against_traps
@@ -85,7 +86,7 @@ def server_argument(parent_pid: int) -> str:
 def main() -> None:
     """Entry point: ``deploy.mission.zygote PARENT_PID``, with the papers' socket for standard input."""
     die_with_parent(int(sys.argv[1]))
-    os.dup2(0, PAPERS)
+    os.dup2(STANDARD[0], PAPERS)
     os.closerange(3, ORDERS)
     papers = socket.socket(fileno=PAPERS)
     # socket.recv_fds() peeks at nothing.
@@ -93,14 +94,16 @@ def main() -> None:
         MESSAGE_SIZE, socket.CMSG_LEN(_DESCRIPTORS.size), socket.MSG_PEEK
     )
     orders, side_orders = _DESCRIPTORS.unpack(rights)
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    for descriptor, wanted in ((orders, ORDERS), (side_orders, SIDE_ORDERS), (nothing, 0)):
+    for descriptor, wanted in ((orders, ORDERS), (side_orders, SIDE_ORDERS)):
         os.dup2(descriptor, wanted)
         os.close(descriptor)
     nodes, sidecars = json.loads(message)
     with numba_event.install_recorder("numba:compile") as compiled:
         modules = _imported(nodes)
     begin_again_if(bool(compiled.buffer), stdin=PAPERS)
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
     papers.recv(MESSAGE_SIZE)
     prepare(HORIZON_TYPE)
     for topic in TOPICS.values():
@@ -135,7 +138,7 @@ def _compiling_alone() -> Iterator[None]:
     """Hold the lock under which one server of this checkout at a time compiles, even if one is killed.
 
     numba writes to a file with a random name and then renames it; here randomness is constant
-    (:data:`CONSTANT_RANDOM`), so that two servers would write to the same.
+    (:data:`FIXED_LIBC`), so that two servers would write to the same.
     """
     with Path(__file__).open("rb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
@@ -199,7 +202,7 @@ def _keep(papers: socket.socket, modules: Mapping[str, ModuleType]) -> None:
         papers.close()
         _be(theirs, modules)
     theirs.close()
-    CONSTANT_RANDOM.end()
+    FIXED_LIBC.end()
     message, descriptors, _, _ = socket.recv_fds(papers, MESSAGE_SIZE, 2)
     listed = listed_pid(pid)
     socket.send_fds(
@@ -273,7 +276,7 @@ def _run(end: socket.socket, modules: Mapping[str, ModuleType]) -> None:
     if not address_size:
         modules[setup.name].main(setup, NodeLink(end), stats)
         return
-    CONSTANT_RANDOM.end()
+    FIXED_LIBC.end()
     folder, namespace = json.loads(receive(end, address_size))
     end.close()
     modules[setup.name].main(setup, BusAddress(Path(folder), namespace), stats)

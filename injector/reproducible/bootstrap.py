@@ -21,6 +21,10 @@ _SUFFIXES = EXTENSION_SUFFIXES + SOURCE_SUFFIXES + BYTECODE_SUFFIXES
 """In the order in which Python tries them."""
 
 
+STANDARD = (113, 114, 115)
+"""Descriptors of the standard streams until all is imported: what they are changes what libraries reserve."""
+
+
 class ImportFolder:
     """Finds what Python would find in a folder, by looking for each name instead of listing the folder."""
 
@@ -45,6 +49,16 @@ class ImportFolder:
         return namespace
 
 
+def give_back_standard_streams() -> None:
+    """Undo what :mod:`injector.reproducible.launch` did; nothing happens the second time."""
+    for descriptor, aside in enumerate(STANDARD):
+        try:
+            os.dup2(aside, descriptor)
+        except OSError:
+            return
+        os.close(aside)
+
+
 def main() -> None:
     """Run the module that the first argument names, once its imports are found without listing our folder."""
     os.environ["PYTHONPATH"] = os.environ.pop("ZENFI_PATH")  # for what this process starts
@@ -55,11 +69,15 @@ def main() -> None:
     sys.path.append(own)
     sys.path_importer_cache[own] = ImportFolder(own)
     site.main()
-    from injector.reproducible.fixed_entropy import CONSTANT_RANDOM  # noqa: PLC0415 - now it can be found
+    from injector.reproducible.fixed_libc import FIXED_LIBC  # noqa: PLC0415 - now it can be found
 
-    CONSTANT_RANDOM.begin()
+    FIXED_LIBC.begin()
     del sys.argv[0]
-    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+    try:
+        runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+    except BaseException:
+        give_back_standard_streams()
+        raise
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ are imported: in which order such a table is gone through decides where what is 
 
 from __future__ import annotations
 
-import ctypes
 import os
 import platform
 import socket
@@ -16,7 +15,6 @@ import struct
 from contextlib import suppress
 from pathlib import Path
 
-from injector.reproducible.vdso import replace_code
 from injector.tracing import ptrace
 from services.system.libc import libc
 
@@ -29,9 +27,6 @@ _GRND_NONBLOCK = 1
 _PR_SET_PTRACER = 0x59616D61
 _MOST_CALLS = 4000
 """A program that has not asked for malloc's key by then has a libc that needs none."""
-
-_CONSTANT = bytes.fromhex("f30f1efa 4889f1 b05a f3aa 4889f0 c3")
-"""``endbr64; mov rcx,rsi; mov al,5a; rep stosb; mov rax,rsi; ret``: a buffer full of 5a."""
 
 
 def fix_keys() -> None:
@@ -93,26 +88,3 @@ def _write(pid: int, address: int, content: bytes) -> None:
         os.pwrite(memory, content, address)
     finally:
         os.close(memory)
-
-
-class ConstantRandom:
-    """libc's ``getrandom``, replaced by one that always gives the same; elsewhere than on x86-64: nothing."""
-
-    def __init__(self) -> None:
-        self._address = ctypes.cast(libc.getrandom, ctypes.c_void_p).value or 0
-        self._own = b""
-
-    def begin(self) -> None:
-        """From now on, in this process and in what it forks."""
-        if platform.machine() == "x86_64":
-            self._own = replace_code(self._address, _CONSTANT)
-
-    def end(self) -> None:
-        """Draw from the kernel again; nothing happens if this process always has."""
-        if self._own:
-            replace_code(self._address, self._own)
-            self._own = b""
-
-
-CONSTANT_RANDOM = ConstantRandom()
-"""That of this process: processes of :mod:`injector.reproducible.launch` begin with it."""

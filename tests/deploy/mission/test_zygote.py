@@ -1,5 +1,6 @@
 """The fork server's own process."""
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
@@ -18,7 +19,7 @@ from tests.process_memory import different, memory
 
 def test_two_servers_never_compile_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their randomness is the same, and so are the names of the files that numba writes first."""
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     stack = {"slow": ProcessDeclaration("slow", "tests.fixtures.nodes.warms")}
     with ThreadPoolExecutor() as pool:
         for server in pool.map(lambda _: ForkServer(stack), range(3)):
@@ -56,7 +57,7 @@ def test_what_a_server_has_forked_leaves_no_trace_in_its_memory() -> None:
 
 def test_nodes_have_nothing_to_compile_or_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each flight would do it anew, and what it does then lies in a node's memory."""
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     learns = "tests.fixtures.nodes.learns"
     stack = {name: one if one.sidecar else replace(one, module=learns) for name, one in STACK.items()}
     with closing(ForkServer(stack)) as server:

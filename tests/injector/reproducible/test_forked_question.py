@@ -1,6 +1,7 @@
 """Questions that a fork answers, so that what it reads leaves nothing in the memory of who asks."""
 
 import os
+import signal
 import subprocess
 from pathlib import Path
 
@@ -12,8 +13,10 @@ from tests.process_memory import Memory, different, memory
 
 BEGINNING = """
 import os, time
+from injector.reproducible.bootstrap import give_back_standard_streams
 from itertools import repeat
 from injector.reproducible.pid_namespace import begin
+give_back_standard_streams()
 for _ in repeat(None, int(os.read(0, 5))):
     time.sleep(0)
 begin()
@@ -28,12 +31,13 @@ def test_the_answer_is_that_of_the_fork() -> None:
     assert answered_by_a_fork(lambda: os.getppid() == asking)
     assert not answered_by_a_fork(lambda: os.getpid() == asking)
     assert not answered_by_a_fork(lambda: bool(1 // 0))
-    assert not answered_by_a_fork(os.abort)
+    assert not answered_by_a_fork(lambda: os.kill(os.getpid(), signal.SIGKILL) is None)
 
 
 def memory_after_waiting(times: bytes, folder: Path) -> Memory:
     command = launch.command("waiting")
-    surroundings = launch.environment(os.environ) | {"PYTHONPATH": str(folder)}
+    given = {**os.environ, "NUMBA_CACHE_DIR": str(folder)}
+    surroundings = launch.environment(given, "test") | {"PYTHONPATH": str(folder)}
     with subprocess.Popen(
         command, env=surroundings, stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as process:
