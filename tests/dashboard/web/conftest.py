@@ -60,10 +60,14 @@ class Looking:
         """Open a page of the service at ``address`` and wait until it is connected."""
         self.hosts.add(urlsplit(address).netloc)
         self.page.goto(f"{address}{path}")
+        self.await_connection()
+        return self.page
+
+    def await_connection(self) -> None:
+        """Wait until the page that is shown listens to clicks."""
         self.page.wait_for_function(
             "window.socket?.connected === true || !window.createApp", timeout=PATIENCE_MS
         )
-        return self.page
 
     def another(self) -> "Looking":
         """A second page of the same browser; what goes wrong there counts here."""

@@ -120,8 +120,8 @@ def test_a_dry_run_does_all_but_the_flip(mapper: Path) -> None:
 
 
 def test_a_long_call_is_struck_by_its_thread_time_and_in_it(mapper: Path) -> None:
-    with running_program(mapper) as process:
-        for seed in range(3):
+    for seed in range(3):
+        with running_program(mapper) as process:  # another each time: what is struck may end
             done = inject(
                 process.pid, {"symbol": LENGTHY, "cpu_s": (0.001, 0.002)}, seed, register_class="flags"
             )
@@ -131,7 +131,8 @@ def test_a_long_call_is_struck_by_its_thread_time_and_in_it(mapper: Path) -> Non
             assert "lengthy" in done.injection.symbol
             assert done.cpu_ns is not None
             assert 1_000_000 <= done.cpu_ns <= 2_000_000
-        done = inject(process.pid, {"symbol": LENGTHY})
+    with running_program(mapper) as process:
+        done = inject(process.pid, {"symbol": LENGTHY}, dry_run=True)
         assert (done.injection.precision, done.rehearsals, done.instructions) == ("cpu_time", 1, None)
         assert lives_untraced(process)
 

@@ -149,6 +149,7 @@ def test_back_undoes_sorting_and_paging_and_comes_back_from_a_run(
     page.locator(".runs tbody a").first.click()
     page.wait_for_url("**/runs/*")
     page.go_back()
+    looking.await_connection()
     expect_rows(2, ["0", "0"], largest_first=True)
     page.get_by_role("button", name="Previous").click()
     expect_rows(3, ["2", "1", "1"], largest_first=True)
