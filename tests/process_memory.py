@@ -21,6 +21,24 @@ def memory(pid: int, *, stack: bool = True) -> Memory:
     return found
 
 
+def save(found: Memory, file: Path) -> None:
+    """Write memory to a file."""
+    with file.open("wb") as content:
+        for at, words in found.items():
+            np.array([at, len(words)], np.uint64).tofile(content)
+            words.tofile(content)
+
+
+def load(file: Path) -> Memory:
+    """Read what :func:`save` has written."""
+    words, found, place = np.fromfile(file, np.uint64), {}, 0
+    while place < len(words):
+        at, count = int(words[place]), int(words[place + 1])
+        found[at] = words[place + 2 : place + 2 + count]
+        place += 2 + count
+    return found
+
+
 def different(one: Memory, other: Memory, *, numbers: bool = True) -> set[int]:
     """The addresses of the words that are not the same; without those that hold text of numbers, if need be.
 

@@ -1,0 +1,113 @@
+"""Nodes begin with the same memory under all that users differ in, word by word."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from deploy.mission.fork_server import ForkServer
+from services.system.process_stat import process_stat
+from tests.conftest import wait_until
+from tests.process_memory import Memory, different, load, memory, save
+
+ROOT = Path(__file__).parents[3]
+FEW = 8
+"""Words beyond the usual ones: on which processor it runs, and another digit of a number."""
+
+
+def tell(file: str) -> None:
+    """Write the memory of a fork server's process, from which all nodes are forked, to a file."""
+    with closing(ForkServer()) as server:
+        wait_until(lambda: process_stat(server.pid).state == "S")
+        save(memory(server.pid, stack=False), Path(file))
+
+
+def told(
+    file: Path,
+    environment: Mapping[str, str] = os.environ,
+    folder: Path = ROOT,
+    prepare: Callable[[], None] = lambda: None,
+    output: int | None = None,
+) -> Memory:
+    program = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); from {__name__} import tell; tell({str(file)!r})"
+    )
+    subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment,
+        cwd=folder,
+        preexec_fn=prepare,
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        check=True,
+    )
+    return load(file)
+
+
+def in_another_shell(folder: Path) -> dict[str, str]:
+    """An environment of other size, language, home and search path."""
+    return {
+        **os.environ,
+        **{f"MORE_{number}": "y" * number for number in range(60)},
+        "PATH": f"{os.environ['PATH']}:/{'x' * 90}",
+        "HOME": str(folder),
+        "XDG_CACHE_HOME": str(folder / "cache"),
+        "TMPDIR": str(folder),
+        "LANG": "de_DE.UTF-8",
+        "TZ": "Pacific/Auckland",
+        "COLUMNS": "37",
+    }
+
+
+def be_another_process() -> None:
+    """Be nice, on one processor, with limits, open files and signals as few have them."""
+    os.nice(5)
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    resource.setrlimit(resource.RLIMIT_STACK, (64 << 20, resource.getrlimit(resource.RLIMIT_STACK)[1]))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGUSR1):
+        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR2})
+    for _ in range(20):
+        os.set_inheritable(os.open(os.devnull, os.O_RDONLY), True)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Memory, set[int]]:
+    """What a server begins with, and where any two differ: pids and times."""
+    folder = tmp_path_factory.mktemp("memory")
+    told(folder / "first")  # compiles, if need be
+    one, other = (told(folder / name) for name in ("one", "other"))
+    usual = different(one, other, numbers=False)
+    assert len(usual) < 200
+    return one, usual
+
+
+def test_in_another_shell(plain: tuple[Memory, set[int]], tmp_path: Path) -> None:
+    one, usual = plain
+    (tmp_path / "home").mkdir()
+    other = told(tmp_path / "memory", in_another_shell(tmp_path / "home"), folder=tmp_path)
+    assert len(different(one, other, numbers=False) - usual) <= FEW
+
+
+def test_in_another_kind_of_process(plain: tuple[Memory, set[int]], tmp_path: Path) -> None:
+    one, usual = plain
+    other = told(tmp_path / "memory", prepare=be_another_process, output=subprocess.PIPE)
+    assert len(different(one, other, numbers=False) - usual) <= FEW
+
+
+def test_on_a_terminal(plain: tuple[Memory, set[int]], tmp_path: Path) -> None:
+    one, usual = plain
+    terminal, ours = os.openpty()
+    try:
+        other = told(tmp_path / "memory", output=ours)
+    finally:
+        os.close(terminal)
+        os.close(ours)
+    assert len(different(one, other, numbers=False) - usual) <= FEW
