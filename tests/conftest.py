@@ -13,8 +13,8 @@ import pytest
 from hypothesis import settings
 
 from deploy.config.workdir import PREFIX
+from deploy.mission.fork_protocol import SIDE_SERVER
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.zygote import SIDE_SERVER
 from injector.reproducible.pid_namespace import CALLER
 from tests import tiers
 

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from deploy.config.processes import STACK, ProcessDeclaration
-from deploy.mission.zygote import EXIT_REAPER, MESSAGE_SIZE, ZENOH_RUNTIME, server_argument
+from deploy.mission.fork_protocol import EXIT_REAPER, MESSAGE_SIZE, ZENOH_RUNTIME, server_argument
 from injector.reproducible import launch
 from services.bus.session import BusAddress
 from services.runtime.setup import NodeSetup

@@ -7,11 +7,11 @@ import time
 import numpy as np
 
 from deploy.errors import InfrastructureError
+from deploy.mission.fork_protocol import EXIT_BUG
 from deploy.mission.listening import MissionBus
 from deploy.mission.outcome import MissionEnd
 from deploy.mission.setups import NodeSetups
 from deploy.mission.supervisor import SupervisedNode, Supervisor
-from deploy.mission.zygote import EXIT_BUG
 from services.bus.horizon import NEVER_NS
 from services.bus.messages import Horizon, encode
 from services.bus.topics import HORIZON_TYPE

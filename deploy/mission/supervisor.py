@@ -16,8 +16,8 @@ from pathlib import Path
 
 from deploy.config.processes import ProcessDeclaration
 from deploy.errors import InfrastructureError
+from deploy.mission.fork_protocol import EXIT_BUG, EXIT_REAPER
 from deploy.mission.fork_server import Exited, ForkServer
-from deploy.mission.zygote import EXIT_BUG, EXIT_REAPER
 from services.bus.session import BusAddress
 from services.models.outcome import KernelUse, NodeReport, NodeResult
 from services.runtime.setup import NodeSetup

@@ -29,6 +29,7 @@ from types import ModuleType
 from numba.core import event as numba_event
 
 from deploy.config.processes import FOREIGN
+from deploy.mission.fork_protocol import EXIT_BUG, EXIT_REAPER, MESSAGE_SIZE, SIDE_SERVER
 from injector.reproducible import fork_loop, pid_namespace
 from injector.reproducible.bootstrap import STANDARD
 from injector.reproducible.fixed_libc import FIXED_LIBC
@@ -47,25 +48,9 @@ from services.system.lifeline import die_with_parent
 from services.system.process_stat import listed_pid
 from services.system.shared_stats import SharedStats
 
-EXIT_BUG = 70
-"""Exit status of a node that ended by an exception (sysexits.h: EX_SOFTWARE)."""
-
-EXIT_REAPER = 71
-"""What is reported of a process whose reaper failed, which is our own failure."""
-
 ORDERS, SIDE_ORDERS, PAPERS = 100, 101, 102
 """Its descriptors of the supervisor's orders for nodes and for sidecars, which come with the first papers,
 and of the papers. Each byte is an order."""
-
-ZENOH_RUNTIME = (
-    "(acc: (handover: app), net: (handover: app), tx: (handover: app), rx: (handover: app),"
-    " app: (worker_threads: 2))"
-)
-"""Two threads of Zenoh in a proxy instead of six: a tenth less processor time for a flight."""
-
-MESSAGE_SIZE = 1 << 20
-SIDE_SERVER = "fork-sidecars"
-"""The name of the process that forks the sidecars."""
 
 _PR_SET_NAME = 15
 _PR_SET_PTRACER = 0x59616D61
@@ -76,11 +61,6 @@ _PAPERS = struct.Struct("<iII")
 
 class ForkError(Exception):
     """A fork of this process would not work, e.g. since it has other threads."""
-
-
-def server_argument(parent_pid: int) -> str:
-    """The argument of the server's process, always as long."""
-    return f"{parent_pid:010}"
 
 
 def main() -> None:

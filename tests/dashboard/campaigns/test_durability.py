@@ -15,7 +15,7 @@ import pytest
 
 from dashboard.campaigns.flight_record import FlightRecord
 from dashboard.campaigns.store.store import Store
-from deploy.mission.zygote import SIDE_SERVER
+from deploy.mission.fork_protocol import SIDE_SERVER
 from tests.conftest import alive, descendants, folders, wait_until
 from tests.dashboard.command import ZENFI
 from tests.fixtures.postgresql import Server

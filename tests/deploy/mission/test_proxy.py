@@ -13,8 +13,8 @@ import pytest
 from deploy.config.processes import STACK
 from deploy.errors import InfrastructureError
 from deploy.mission.flight import fly
+from deploy.mission.fork_protocol import SIDE_SERVER
 from deploy.mission.fork_server import ForkServer, ForkServerError
-from deploy.mission.zygote import SIDE_SERVER
 from services.models.mission import FaultSpec, MissionSpec, Trigger
 from tests.conftest import alive, descendants, forked, node, wait_until
 from tests.deploy.mid_flight import fly_and
