@@ -47,6 +47,11 @@ class Kernel:
         """The recorded input of the stage's kernels, written by ``zenfi bench samples``."""
         return Path(__file__).parent / self.stage / "sample.npz"
 
+    @property
+    def samples_module(self) -> str:
+        """The module that knows how the stage's kernels are tried."""
+        return f"services.{self.stage}.samples"
+
     def sample(self) -> Sample:
         """The recorded input, loaded from its file."""
         import numpy as np  # noqa: PLC0415 - the table is cheap to import
@@ -56,7 +61,7 @@ class Kernel:
 
     def trial(self, sample: Sample) -> KernelTrial:
         """The kernel on its input, once; its state is made anew."""
-        samples = importlib.import_module(f"services.{self.stage}.samples")
+        samples = importlib.import_module(self.samples_module)
         trial: KernelTrial = getattr(samples, self.trial_class)(self.name, sample)
         return trial
 

@@ -34,7 +34,7 @@ from injector.reproducible import fork_loop, pid_namespace
 from injector.reproducible.bootstrap import STANDARD
 from injector.reproducible.fixed_libc import FIXED_LIBC
 from injector.reproducible.forked_question import answered_by_a_fork
-from injector.reproducible.launch import begin_again_if
+from injector.reproducible.launch import begin_again_if, begin_again_to_compile
 from injector.reproducible.sigtrap_guard import guard_against_traps
 from services.bus.messages import prepare
 from services.bus.proxy_link import NodeLink, NonsenseError, ProxyLink, receive
@@ -80,6 +80,8 @@ def main() -> None:
     nodes, sidecars = json.loads(message)
     with numba_event.install_recorder("numba:compile") as compiled:
         modules = _imported(nodes)
+        begin_again_to_compile(stdin=PAPERS)
+        _warm_up(modules)
     begin_again_if(bool(compiled.buffer), stdin=PAPERS)
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
@@ -100,13 +102,19 @@ def main() -> None:
 
 
 def _imported(names: Mapping[str, str]) -> dict[str, ModuleType]:
-    modules = {name: importlib.import_module(module) for name, module in names.items()}
+    return {name: importlib.import_module(module) for name, module in names.items()}
+
+
+def _warm_up(modules: Mapping[str, ModuleType]) -> None:
+    """Have the modules compile what they need, or load it.
+
+    :raises ForkError: if they leave a thread behind.
+    """
     with _compiling_alone():
         for module in (fork_loop, probe_gate, *modules.values()):
             module.warm_up()
     if not answered_by_a_fork(_parent_has_one_thread):
         raise ForkError("the fork server has several threads; a fork of it would be broken")
-    return modules
 
 
 def _parent_has_one_thread() -> bool:
@@ -145,6 +153,7 @@ def _fork_beside(sidecars: Mapping[str, str], papers: socket.socket) -> None:
     os.dup2(SIDE_ORDERS, ORDERS)
     os.close(SIDE_ORDERS)
     modules = _imported(sidecars)
+    _warm_up(modules)
     gc.freeze()
     theirs.send(b"+")
     theirs.close()

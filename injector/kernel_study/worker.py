@@ -7,6 +7,7 @@ instructions: see :mod:`injector.reproducible.launch`.
 
 from __future__ import annotations
 
+import importlib
 import os
 import resource
 import sys
@@ -14,7 +15,7 @@ import sys
 from numba.core import event
 
 from injector.kernel_study.subject import Subject
-from injector.reproducible.launch import begin_again_if
+from injector.reproducible.launch import begin_again_if, begin_again_to_compile
 from services.kernels import KERNELS
 from services.system.lifeline import die_with_parent
 
@@ -24,6 +25,8 @@ def main() -> None:
     die_with_parent()
     (kernel,) = sys.argv[1:]
     with event.install_recorder("numba:compile") as compiled:
+        importlib.import_module(KERNELS[kernel].samples_module)
+        begin_again_to_compile()
         subject = Subject(KERNELS[kernel])
     begin_again_if(bool(compiled.buffer))
     _answer(kernel, subject, *subject.fork())

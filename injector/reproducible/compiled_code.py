@@ -1,8 +1,9 @@
 """Where numba keeps the machine code of processes of :mod:`injector.reproducible.launch`.
 
 The code is read into their memory, with names that count what was compiled before it in the same process. So
-it is compiled as a whole, by one process that found nothing: a folder of one installation is filled under
-another name, and gets its own once it is complete. Its path in those processes is that of a descriptor.
+it is compiled as a whole, by one process that found nothing but byte code: a folder of one installation is
+filled under another name, and gets its own once it is complete. Its path in those processes is that of a
+descriptor.
 """
 
 from __future__ import annotations
@@ -82,6 +83,11 @@ def is_unfinished() -> bool:
     return folder().suffix == _UNFINISHED
 
 
+def leave() -> None:
+    """Let go of the folder that is not filled yet: who comes first, this process perhaps, begins it anew."""
+    os.close(_LOCK)
+
+
 def finish() -> None:
     """The folder is complete: others, and this process once it has begun again, may have it."""
     unfinished = folder()
@@ -89,7 +95,7 @@ def finish() -> None:
     folders = [one for one in unfinished.parent.iterdir() if one.is_dir()]
     for old in sorted(folders, key=lambda one: -one.stat().st_mtime)[_KEPT:]:
         shutil.rmtree(old, ignore_errors=True)
-    os.close(_LOCK)
+    leave()
 
 
 def _installation(settings: Mapping[str, str]) -> str:

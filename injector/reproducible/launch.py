@@ -36,8 +36,11 @@ _ADDR_NO_RANDOMIZE = 0x0040000
 _ARGUMENTS_AT = 4
 """Where, in the command of such a process, the module stands that it runs."""
 
-_SECOND = 110
-"""A descriptor that is open in a process that was started again. The kernel knows it, our memory does not."""
+_PREPARED, _SECOND = 109, 110
+"""Descriptors that are open in a process that was started again: before it compiled, and after it had.
+
+The kernel knows them, our memory does not.
+"""
 
 _PROCESSORS = 116
 """Descriptor of a file that lists the processors that this process may use."""
@@ -68,7 +71,8 @@ def environment(of: Mapping[str, str], compiled: str) -> dict[str, str]:
     Of the user's it has no more than what names the libraries and packages of an installation, and
     numba's settings. ``compiled`` names the process's folder of compiled code.
     """
-    path = [*_own_folder(), *filter(None, of.get("PYTHONPATH", "").split(os.pathsep))]
+    named = filter(None, of.get("PYTHONPATH", "").split(os.pathsep))
+    path = [*_own_folder(), *map(os.path.abspath, named)]
     kept = {name: value for name, value in of.items() if name == "LD_LIBRARY_PATH" or _of_numba(name)}
     user = {"PYTHONUSERBASE": site.getuserbase()} if _needs_user_site() else {"PYTHONNOUSERSITE": "1"}
     whole = (
@@ -109,6 +113,24 @@ def command(module: str, *arguments: str) -> list[str]:
     return [sys.executable, "-P", "-m", "injector.reproducible.launch", module, *arguments]
 
 
+def begin_again_to_compile(stdin: int = 0) -> None:
+    """Start this process again, as it was begun, if it is about to compile and Python had to.
+
+    What is compiled depends a little on where things lie in memory. To be called once all is imported;
+    ``stdin`` is where what was its standard input is now.
+    """
+    if answered_by_a_fork(
+        lambda: (
+            compiled_code.is_unfinished()
+            and not _is_open(_PREPARED)
+            and not _is_open(_SECOND)
+            and _wrote_byte_code(os.getppid())
+        )
+    ):
+        compiled_code.leave()
+        _begin_again(_PREPARED, stdin)
+
+
 def begin_again_if(compiled: bool, stdin: int = 0) -> None:
     """Start this process again, as it was begun, if numba had to compile what it imported, or Python had.
 
@@ -116,21 +138,27 @@ def begin_again_if(compiled: bool, stdin: int = 0) -> None:
     was started again has the same memory as who was not, so a fork looks which of them this is. Who stays has
     its standard streams from here on. ``stdin`` is where what was its standard input is now.
     """
-    answered_by_a_fork(_restrict_parent_to_its_processors)
-    os.close(_PROCESSORS)
-    if answered_by_a_fork(lambda: not _is_open(_SECOND) and (compiled or _has_filled_a_cache(os.getppid()))):
+    if answered_by_a_fork(
+        lambda: (
+            not _is_open(_SECOND)
+            and (compiled or compiled_code.is_unfinished() or _wrote_byte_code(os.getppid()))
+        )
+    ):
         if compiled_code.is_unfinished():
             compiled_code.finish()
-        give_back_standard_streams()
-        os.dup2(stdin, 0)
-        os.dup2(0, _SECOND)
-        _begin_again()
+        _begin_again(_SECOND, stdin)
+    answered_by_a_fork(_restrict_parent_to_its_processors)
+    os.close(_PROCESSORS)
     give_back_standard_streams()
-    os.closerange(_SECOND, _SECOND + 1)
+    os.closerange(_PREPARED, _SECOND + 1)
 
 
-def _begin_again() -> None:
-    """With the arguments and the environment that it was begun with, in their order."""
+def _begin_again(mark: int, stdin: int) -> None:
+    """With the arguments and the environment that it was begun with, in their order, and ``mark`` open."""
+    answered_by_a_fork(_restrict_parent_to_its_processors)
+    give_back_standard_streams()
+    os.dup2(stdin, 0)
+    os.dup2(0, mark)
     arguments = Path("/proc/self/cmdline").read_bytes().split(b"\0")[_ARGUMENTS_AT:-1]
     entries = [one.partition(b"=") for one in Path("/proc/self/environ").read_bytes().split(b"\0") if one]
     surroundings = {b"PYTHONPATH" if name == _PATH.encode() else name: value for name, _, value in entries}
@@ -143,10 +171,8 @@ def _is_open(descriptor: int) -> bool:
     return Path(f"/proc/self/fd/{descriptor}").exists()
 
 
-def _has_filled_a_cache(process: int) -> bool:
-    """Whether we have a new folder of compiled code, or a process uses byte code of just before it began."""
-    if compiled_code.is_unfinished():
-        return True
+def _wrote_byte_code(process: int) -> bool:
+    """Whether byte code that we use has been written since a process began, or just before."""
     began_ticks = process_stat(process).start_ticks
     age_s = time.clock_gettime(time.CLOCK_BOOTTIME) - began_ticks / CLOCK_TICKS_PER_S
     files = [getattr(module, "__cached__", None) for module in list(sys.modules.values())]
@@ -167,6 +193,7 @@ def main() -> None:
     most = _STACK_BYTES if hard == resource.RLIM_INFINITY else min(hard, _STACK_BYTES)
     resource.setrlimit(resource.RLIMIT_STACK, (most, hard))
     _put_aside_standard_streams()
+    os.chdir("/")  # compilers look where they are
     start = str(Path(__file__).with_name("bootstrap.py"))
     # Without site (-S), which bootstrap.py runs itself once the folder of our packages is no longer listed.
     arguments = [sys.executable, "-P", "-S", start, *sys.argv[1:]]
