@@ -75,7 +75,7 @@ def share_what_numba_compiled(environment: Path) -> None:
 def test_the_wheel_holds_every_file_of_the_product(wheel: Path) -> None:
     packed = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
     files = (file for name in PACKAGES for file in (ROOT / name).rglob("*") if file.is_file())
-    assert packed == {str(file.relative_to(ROOT)) for file in files if file.parent.name != "__pycache__"}
+    assert packed == {str(file.relative_to(ROOT)) for file in files if "__pycache__" not in file.parts}
 
 
 def test_a_flight_from_the_wheel_is_that_from_the_checkout(

@@ -190,8 +190,16 @@ def test_a_killed_flight_leaves_what_was_written(tmp_path: Path, flights: dict[s
     whole = open_run(flights["golden"])
     with subprocess.Popen([sys.executable, "-c", script]) as flight:
         wait_until(lambda: path.exists() and path.stat().st_size > 100_000)
-        # The first chunk may be all pictures.
-        wait_until(lambda: len(open_run(path).messages.get("odometry", [])) > 10)
+
+        def has_odometry() -> bool:
+            """Look while it stands: reading takes longer than the flight. The first chunk may be pictures."""
+            flight.send_signal(signal.SIGSTOP)
+            enough = len(open_run(path).messages.get("odometry", [])) > 10
+            if not enough:
+                flight.send_signal(signal.SIGCONT)
+            return enough
+
+        wait_until(has_odometry)
         flight.send_signal(signal.SIGKILL)
     left = open_run(path)
     assert not left.complete
