@@ -84,6 +84,7 @@ class RunsTable:
             self._on = ui.button("Next", on_click=told(self._go_on)).props("flat no-caps")
             self._count = ui.label().classes("note").props('role="status"')
         self._page: RunListing | None = None
+        self._arrived = self._turned = False
         browser.on_arrival(self._arrive)
 
     async def refresh(self) -> None:
@@ -96,9 +97,20 @@ class RunsTable:
     def _show(self, page: RunListing) -> None:
         self._page = page
         fill(self._table, [self._row(run) for run in page.runs])
-        self._back.set_enabled(self._query.after is not None)
+        self._allow_steps()
         self._on.set_enabled(page.next is not None)
         self._count.set_text(f"{len(page.runs)} runs here" if page.runs else "No run is like this.")
+
+    def _allow_steps(self) -> None:
+        """A step back needs what the browser kept: the pages before this one."""
+        self._back.set_enabled(self._arrived and self._query.after is not None)
+
+    async def _display(self) -> None:
+        """Show what is asked for, unless people have asked for something else meanwhile."""
+        query = self._query
+        page = await ask(run_page, self._service.store, self._campaign, query)
+        if query is self._query:
+            self._show(page)
 
     def _make_table(self) -> ui.table:
         shown = [one for one in COLUMNS if one[0] not in self._choices or len(self._choices[one[0]]) > 1]
@@ -165,7 +177,14 @@ class RunsTable:
         await self._turn_to(before, after=after)
 
     async def _arrive(self, parameters: Mapping[str, str], kept: Any) -> None:
-        """Show what people have gone back or forward to; ``kept`` are the pages before it."""
+        """Show what people have gone back or forward to; ``kept`` are the pages before it.
+
+        The first time it is what the page was opened with: old, if people were faster.
+        """
+        is_first, self._arrived = not self._arrived, True
+        self._allow_steps()
+        if is_first and self._turned:
+            return
         self._before = kept if isinstance(kept, list) else []
         query = asked(parameters)
         if query == self._query:
@@ -176,17 +195,17 @@ class RunsTable:
         self._sorted.set_value(query.sort)
         self._descending.set_value(query.descending)
         self._table.pagination = self._order()
-        self._show(await ask(run_page, self._service.store, self._campaign, query))
+        await self._display()
 
     async def _turn_to(self, before: list[str | None], **changes: object) -> None:
         """Show other runs, as an entry of the browser's history; ``before``: the pages before these."""
-        self._before = before
+        self._turned, self._before = True, before
         self._query = RunQuery.model_validate(self._query.model_dump() | changes)
         chosen = self._query.model_dump(mode="json", exclude_defaults=True, exclude={"limit"})
         if self._query.limit != PAGE:
             chosen["limit"] = self._query.limit
         browser.push(f"/campaigns/{self._campaign.label}?{urlencode(chosen)}#runs", before)
-        self._show(await ask(run_page, self._service.store, self._campaign, self._query))
+        await self._display()
 
     def _row(self, run: RunLine) -> dict[str, object]:
         row: dict[str, object] = run.model_dump(exclude={"result"})
