@@ -9,6 +9,8 @@ import pytest
 
 from injector.reproducible import launch
 from injector.reproducible.forked_question import answered_by_a_fork
+from services.system.process_stat import process_stat
+from tests.conftest import wait_until
 from tests.process_memory import Memory, different, memory
 
 BEGINNING = """
@@ -51,6 +53,7 @@ def memory_after_waiting(times: bytes, folder: Path) -> Memory:
         process.stdin.write(times)
         process.stdin.flush()
         process.stdout.readline()
+        wait_until(lambda: process_stat(process.pid).state == "S")  # or it has not begun to read
         found = memory(process.pid, stack=False)
         process.communicate()
     return found
