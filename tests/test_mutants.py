@@ -34,7 +34,7 @@ def change(old: str, new: str) -> Mutant:
     return Mutant(f"{old} to {new}", "subject.py", old, new, ("test_subject.py",))
 
 
-@pytest.mark.process
+@pytest.mark.soak
 def test_a_change_that_a_test_notices_is_killed_and_the_tree_stays_as_it_is(tree: Path) -> None:
     mutants = [change("* 2", "* 3"), change("+ 0", "- 0"), change("return number", "while True: number")]
     assert list(run(mutants, tree, jobs=2, limit_s=20.0).values()) == [True, False, True]

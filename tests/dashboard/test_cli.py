@@ -145,6 +145,7 @@ def test_a_campaign_that_is_not_there_is_one_clear_line(arguments: tuple[str, ..
     assert says in refusal("campaign", *arguments)
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(("stop", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
 def test_a_stopped_campaign_leaves_nothing_behind(stop: int, status: int) -> None:
     with subprocess.Popen(

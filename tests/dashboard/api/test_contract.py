@@ -49,6 +49,7 @@ def document(app: FastAPI) -> Any:
     return schemathesis.openapi.from_asgi("/api/v1/openapi.json", app, headers={"Host": "localhost"})
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("mode", list(GenerationMode))
 def test_no_answer_is_undocumented_or_a_failure(document: Any, mode: GenerationMode) -> None:
     for found in document.get_all_operations():

@@ -55,6 +55,7 @@ def test_curl_alone_starts_watches_and_reads_a_campaign(service: Serving) -> Non
     assert {row["result"] for row in rows} == {"timeout"}
 
 
+@pytest.mark.soak
 def test_poses_of_flights_that_are_under_way_are_told(client: Client) -> None:
     longer = SPEC.model_copy(update={"mission": MissionSpec(limits=Limits(mission_time_s=5)), "runs": 1})
     made = client.campaigns.create(longer)
@@ -64,6 +65,7 @@ def test_poses_of_flights_that_are_under_way_are_told(client: Client) -> None:
     assert flights[0].present.position_m[2] > 1.0
 
 
+@pytest.mark.soak
 def test_killed_in_mid_campaign_it_goes_on_to_the_same_results(tmp_path: Path) -> None:
     calm, hard = tmp_path / "calm", tmp_path / "hard"
     with serving(calm) as one, Client(one.address) as client:
@@ -84,6 +86,7 @@ def test_killed_in_mid_campaign_it_goes_on_to_the_same_results(tmp_path: Path) -
     assert [told(record) for record in ours] == [told(record) for record in theirs]
 
 
+@pytest.mark.soak
 def test_the_service_survives_its_pilot_and_starts_another(tmp_path: Path) -> None:
     with serving(tmp_path) as one, Client(one.address) as client:
         label = client.campaigns.create(SPEC).campaign
@@ -97,6 +100,7 @@ def test_the_service_survives_its_pilot_and_starts_another(tmp_path: Path) -> No
         assert client.campaigns.get(label).done == 6
 
 
+@pytest.mark.soak
 def test_told_to_end_it_keeps_what_is_finished_and_ends_its_streams(tmp_path: Path) -> None:
     with serving(tmp_path) as one, Client(one.address) as client:
         client.campaigns.create(SPEC.model_copy(update={"runs": 500}))
@@ -117,6 +121,7 @@ def test_told_to_end_it_keeps_what_is_finished_and_ends_its_streams(tmp_path: Pa
         assert store.states(found).count("leased", "running") == 0
 
 
+@pytest.mark.soak
 def test_on_postgresql_it_flies_and_tells_no_password(tmp_path: Path, postgresql_server: Server) -> None:
     url = postgresql_server.database()
     with serving(tmp_path, store=url) as one, Client(one.address) as client:
@@ -133,6 +138,7 @@ def test_on_postgresql_it_flies_and_tells_no_password(tmp_path: Path, postgresql
     assert not any(PASSWORD in told for told in (*seen, one.said.read_text(), str(refused.value)))
 
 
+@pytest.mark.soak
 def test_a_campaign_keeps_files_and_the_service_serves_them(client: Client) -> None:
     kept = SPEC.model_copy(update={"recording": RecordingPolicy(keep="all"), "artefacts": "mine", "runs": 1})
     made = client.campaigns.create(kept)
@@ -145,6 +151,7 @@ def test_a_campaign_keeps_files_and_the_service_serves_them(client: Client) -> N
     assert Outcome.model_validate_json(read) == client.runs.outcome(made.campaign, run)
 
 
+@pytest.mark.soak
 def test_a_campaign_whose_database_was_away_goes_on(tmp_path: Path, postgresql_server: Server) -> None:
     url = postgresql_server.database()
     with serving(tmp_path, store=url) as one, Client(one.address) as client:
@@ -165,10 +172,8 @@ def test_a_campaign_whose_database_was_away_goes_on(tmp_path: Path, postgresql_s
         assert client.campaigns.get(label).done == 6
 
 
-@pytest.mark.parametrize(
-    "hindrance",
-    ["a file in its place", pytest.param("a link that leads out", marks=pytest.mark.soak)],
-)
+@pytest.mark.soak
+@pytest.mark.parametrize("hindrance", ["a file in its place", "a link that leads out"])
 def test_a_campaign_that_cannot_be_set_up_fails_and_the_next_one_flies(
     tmp_path: Path, hindrance: str
 ) -> None:

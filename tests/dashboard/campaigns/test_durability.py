@@ -143,9 +143,8 @@ def test_kills_change_nothing_but_the_time_it_takes(
 LOSSES = ((2, fork_servers), (5, side_servers), (8, fork_servers), (11, side_servers))
 
 
-@pytest.mark.parametrize(
-    ("runs", "losses"), [(12, LOSSES[:2]), pytest.param(RUNS, LOSSES, marks=pytest.mark.soak)], ids=[12, RUNS]
-)
+@pytest.mark.soak
+@pytest.mark.parametrize(("runs", "losses"), [(12, LOSSES[:2]), (RUNS, LOSSES)], ids=[12, RUNS])
 def test_a_lost_fork_server_costs_no_run(
     tmp_path: Path, runs: int, losses: Sequence[tuple[int, Callable[[int], list[int]]]]
 ) -> None:
@@ -192,6 +191,7 @@ def test_ctrl_c_pauses_and_says_how_to_go_on(tmp_path: Path) -> None:
         assert (found.phase, found.reason) == ("paused", "interrupted")
 
 
+@pytest.mark.soak
 def test_a_full_store_pauses_the_campaign_and_loses_nothing(tmp_path: Path) -> None:
     store = tmp_path / "store"
     with zenfi(store, "run", spec(tmp_path, runs=2, disk_mb=1)) as command:
@@ -210,6 +210,7 @@ def test_a_full_store_pauses_the_campaign_and_loses_nothing(tmp_path: Path) -> N
     assert [record.phase for record in records(store)] == ["done"] * 8
 
 
+@pytest.mark.soak
 def test_on_postgresql_a_campaign_is_killed_and_paused_and_goes_on(
     tmp_path: Path, postgresql_server: Server
 ) -> None:
@@ -244,6 +245,7 @@ def fill(store: Path) -> None:
         connection.commit()
 
 
+@pytest.mark.soak
 def test_a_campaign_that_is_flown_can_be_cancelled_from_outside(tmp_path: Path) -> None:
     store = tmp_path / "store"
     # More than are flown until the two commands below have started on a busy machine.

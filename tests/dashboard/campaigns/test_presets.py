@@ -85,6 +85,7 @@ def test_a_scale_moves_seeds_and_looks_along() -> None:
         scaled(campaign, 1000)
 
 
+@pytest.mark.soak
 def test_a_preset_is_flown_by_its_name(home: Path) -> None:
     answer = zenfi("campaign", "run", "fig9", "--scale", "0.01", "--json")
     assert answer.returncode == 0, answer.stderr

@@ -15,6 +15,7 @@ from tests.dashboard.recorded import flights
 __all__ = ["flights"]
 
 
+@pytest.mark.soak
 def test_the_way_of_an_error_is_printed_told_as_json_and_drawn(
     flights: dict[str, Path], tmp_path: Path
 ) -> None:

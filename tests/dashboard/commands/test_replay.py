@@ -52,6 +52,7 @@ def test_what_campaign_run_printed_is_replayed_and_other_lines_are_counted(
     assert answer.stderr == "lines passed over: 3 (1 forecast, 1 golden, 1 summary)\n"
 
 
+@pytest.mark.soak
 def test_what_campaign_resume_printed_is_replayed(tmp_path: Path) -> None:
     (tmp_path / "small.toml").write_text(SPEC)
     with closing(Store(tmp_path)) as store:

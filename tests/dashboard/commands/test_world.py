@@ -143,6 +143,7 @@ def test_the_redundancy_study_prints_its_three_schemes() -> None:
     assert [line["scheme"] for line in lines] == ["simplex", "DMR", "TMR"]
 
 
+@pytest.mark.soak
 def test_measured_kernels_make_a_platform_file(tmp_path: Path) -> None:
     path = tmp_path / "host.toml"
     answer = zenfi("bench", "kernels", "--flights", "1", "--output", str(path), "--json")

@@ -243,6 +243,7 @@ def test_what_is_unknown_is_refused(laboratory: Laboratory) -> None:
         laboratory.ask("declare", stack=laboratory.stack({"x": {"command": SLEEP}}, logs="/elsewhere"))
 
 
+@pytest.mark.soak
 def test_a_second_supervisor_of_a_stack_is_refused(laboratory: Laboratory) -> None:
     laboratory.up({"x": {"command": SLEEP}})
     order = f'{{"stack": {laboratory.stack({"x": {"command": SLEEP}}).model_dump_json()}, '

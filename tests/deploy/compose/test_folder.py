@@ -28,6 +28,7 @@ def test_only_the_owner_may_enter_and_nothing_stays(folder: Path) -> None:
     assert not folder.exists()
 
 
+@pytest.mark.soak
 def test_there_is_one_holder(folder: Path) -> None:
     with held(folder):
         with pytest.raises(TakenError, match="stack x is up already"), held(folder):

@@ -55,6 +55,7 @@ def test_a_platform_that_does_not_match_the_kernels_is_refused(
         check(MissionSpec(platform=platform))
 
 
+@pytest.mark.soak
 def test_a_slower_platform_flies_worse(server: ForkServer) -> None:
     """By the virtual time flown for each mission that arrives."""
     cost_s, frames = {}, {}

@@ -82,6 +82,7 @@ def has_lines(file: Path, lines: int) -> bool:
     return file.exists() and file.read_bytes().count(b"\n") >= lines
 
 
+@pytest.mark.soak
 def test_a_study_that_is_killed_is_gone_on_with_to_the_same_end(tmp_path: Path) -> None:
     before = descendants(os.getpid())
     whole, file = tmp_path / "whole", tmp_path / "killed"

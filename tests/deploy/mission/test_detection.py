@@ -30,6 +30,7 @@ def spec(detector: dict[str, object], **fields: object) -> MissionSpec:
     return MissionSpec.model_validate({"seed": 7, "limits": SHORT, "detector": detector, **fields})
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("scheme", with_models())
 def test_a_watched_golden_flight_repeats_and_takes_the_time_of_its_checks(
     scheme: str, server: ForkServer
@@ -86,6 +87,7 @@ def watched(server: ForkServer) -> dict[str, Outcome]:
     return {gate: fly(spec({"scheme": "gaussian", "gate": gate}), server).outcome for gate in ("on", "off")}
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(
     ("fixture", "result", "cause"),
     [

@@ -26,6 +26,7 @@ def control_replaced_by(fixture: str) -> Iterator[ForkServer]:
         server.close()
 
 
+@pytest.mark.soak
 def test_a_hang_is_a_result_and_the_flight_repeats() -> None:
     with control_replaced_by("hangs") as server:
         first, second = fly(SPEC, server).outcome, fly(SPEC, server).outcome

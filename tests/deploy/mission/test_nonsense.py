@@ -25,6 +25,7 @@ def commands(messages: Sequence[Stamped]) -> NDArray[np.float64]:
     return np.array([[t.linear.x, t.linear.y, t.linear.z, t.angular.z] for t in twists])
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(
     ("talker", "listeners"),
     [

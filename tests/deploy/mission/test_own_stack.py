@@ -178,6 +178,7 @@ def test_without_a_function_no_instruction_of_it_can_be_struck(tmp_path: Path) -
         check(mission(stack, fault=FaultSpec(target="control")))
 
 
+@pytest.mark.soak
 def test_nobody_has_a_process_announced_that_is_not_its_own() -> None:
     module = "tests.fixtures.nodes.claims_another"
     server = ForkServer({**STACK, "control": replace(STACK["control"], module=module)})

@@ -31,6 +31,7 @@ def test_a_flight_takes_as_long_as_it_takes(server: ForkServer) -> None:
     assert_nothing_is_left(server)
 
 
+@pytest.mark.soak
 def test_a_killed_node_comes_back(server: ForkServer) -> None:
     outcome = fly_and_kill(server, SPEC, "planning").outcome
     assert outcome.nodes["planning"].result == "crash"
@@ -38,6 +39,7 @@ def test_a_killed_node_comes_back(server: ForkServer) -> None:
     assert outcome.result == "success"
 
 
+@pytest.mark.soak
 def test_nothing_is_said_of_messages_that_cannot_repeat(server: ForkServer) -> None:
     outcome = PairFlyer(server).fly(SPEC.model_copy(update={"fault": FaultSpec(target="octomap", seed=2)}))
     assert outcome.golden is not None

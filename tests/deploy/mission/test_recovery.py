@@ -36,6 +36,7 @@ def asked(**fields: object) -> MissionSpec:
     return SPEC.model_copy(update={"detector": DetectorSpec.model_validate(given)})
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(
     ("stage", "topic", "kernels"),
     [

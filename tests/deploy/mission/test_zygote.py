@@ -30,6 +30,7 @@ def test_two_servers_never_compile_at_once(tmp_path: Path, monkeypatch: pytest.M
         assert (pid, begins, is_done) == (same, "begins", "is done")
 
 
+@pytest.mark.soak
 def test_a_server_that_had_to_compile_has_the_memory_of_the_others() -> None:
     Path(cache_from_source(latency.__file__)).unlink(missing_ok=True)
     memories = []

@@ -61,6 +61,7 @@ def test_there_are_twenty_cases() -> None:
     assert len(CASES) == 20
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(("target", "number", "fields", "reach"), CASES)
 def test_a_fault_of_known_effect_is_told_right(
     server: ForkServer, twin: FlownMission, target: str, number: int, fields: dict[str, Any], reach: str

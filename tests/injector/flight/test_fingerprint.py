@@ -74,6 +74,7 @@ def expected(trace: list[Instruction], length: int) -> dict[Site, Fraction]:
     return chances
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("name", KERNELS)
 def test_drawn_sites_are_distributed_as_single_steps_count_them(tmp_path: Path, name: str) -> None:
     """Nothing is flipped meanwhile, and so nothing comes of it: every round is as the first."""

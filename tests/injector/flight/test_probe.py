@@ -163,6 +163,7 @@ def test_within_a_scope_the_exact_rung_draws_all_its_instructions_alike() -> Non
         assert chisquare([drawn[step] for step in own]).pvalue > 0.01
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(("passes", "precision"), [(PASSES, "exact"), (60_000, "occurrence")])
 def test_within_a_scope_the_site_is_there_whatever_the_rung(passes: int, precision: str) -> None:
     struck = 0

@@ -60,6 +60,7 @@ def within_reach(trace: list[int], clock: InstructionIndex) -> Counter[int]:
     return found
 
 
+@pytest.mark.soak
 def test_each_part_of_a_call_is_drawn_as_often_as_it_is_long(tmp_path: Path) -> None:
     in_small_process(each_part_is_drawn_as_often_as_it_is_long, tmp_path)
 
@@ -82,6 +83,7 @@ def each_part_is_drawn_as_often_as_it_is_long(tmp_path: Path) -> None:
         assert drawn[name] / drawn.total() == pytest.approx(part, rel=0.15)
 
 
+@pytest.mark.soak
 def test_a_survey_is_the_same_every_time(tmp_path: Path) -> None:
     in_small_process(two_surveys_are_the_same, tmp_path)
 

@@ -58,6 +58,7 @@ def told(run: StudyRun | None) -> tuple[str, ...]:
     return run.result, run.cause, run.injection.status, run.injection.instruction
 
 
+@pytest.mark.soak
 def test_the_last_places_of_a_call_are_struck(injector: SubjectInjector) -> None:
     """The mark of the call's end is under way to the very last one."""
     trace, whole = injector.anchor_search.begin()
@@ -73,6 +74,7 @@ def test_the_last_places_of_a_call_are_struck(injector: SubjectInjector) -> None
         assert told(alone) == told(runs[place.index])
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(("number", "after"), [(signal.SIGKILL, 1), (signal.SIGSTOP, 1), (signal.SIGKILL, 2)])
 def test_a_sample_that_is_lost_is_counted_and_the_others_are_made(
     injector: SubjectInjector, number: signal.Signals, after: int

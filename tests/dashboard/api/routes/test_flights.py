@@ -44,6 +44,7 @@ def test_a_flight_is_struck_by_hand_after_the_moment_it_was_asked_for(client: Cl
     assert refused.value.problem.status == 409
 
 
+@pytest.mark.soak
 def test_nodes_and_processes_of_a_flight_are_shown(client: Client) -> None:
     watched = client.flights.create(
         MISSION.model_copy(update={"seed": 5, "clock": "realtime"})

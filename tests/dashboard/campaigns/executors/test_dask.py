@@ -65,6 +65,7 @@ def test_the_same_outcomes_as_on_this_machine(cluster: str, here: Outcomes) -> N
     assert set(attempts) == {1}
 
 
+@pytest.mark.soak
 def test_a_worker_killed_while_it_flies_costs_one_attempt(here: Outcomes) -> None:
     killed: list[int] = []
     family: dict[int, str] = {}
@@ -92,6 +93,7 @@ def test_a_worker_killed_while_it_flies_costs_one_attempt(here: Outcomes) -> Non
         wait_until(lambda: not any(map(alive, family)))
 
 
+@pytest.mark.soak
 def test_a_scheduler_that_is_killed_leaves_no_flight_behind_and_is_resumed(
     cluster: str, tmp_path: Path
 ) -> None:

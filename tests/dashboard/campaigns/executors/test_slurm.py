@@ -84,6 +84,7 @@ def test_the_same_outcomes_as_on_this_machine(tmp_path: Path, here: Outcomes) ->
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize("victim", ["deploy.workers.worker", "submitit.core._submit"])
 def test_a_killed_job_costs_one_attempt(tmp_path: Path, here: Outcomes, victim: str) -> None:
     killed: list[int] = []

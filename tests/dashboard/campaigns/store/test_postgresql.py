@@ -65,6 +65,7 @@ def test_who_loses_the_lock_can_write_no_more(url: str, postgresql_server: Serve
         assert store.states(campaign).runs[1].phase == "done"
 
 
+@pytest.mark.soak
 def test_readers_whose_sessions_end_at_any_moment_are_told_so(url: str, postgresql_server: Server) -> None:
     with closing(Store(url)) as store, ThreadPoolExecutor() as pool:
         store.create(SPEC)

@@ -102,6 +102,7 @@ store.delete(store.find(sys.argv[2]))
 """
 
 
+@pytest.mark.soak
 def test_killed_at_any_moment_it_is_there_whole_or_not_at_all(store: Store, where: str) -> None:
     big = SPEC.model_copy(update={"runs": 2000})
     for delay_ms in (0, 5, 10, 20, 40):

@@ -1,5 +1,6 @@
 """What pages are sent: nothing that has not changed, and nothing while nobody looks at them."""
 
+import pytest
 from playwright.sync_api import Page, WebSocket, expect
 
 from dashboard.campaigns.spec import Arm, CampaignSpec
@@ -57,6 +58,7 @@ def test_a_page_on_which_nothing_changes_is_sent_nothing(service: Serving, looki
     assert (sent, sent_other) == ([], [])
 
 
+@pytest.mark.soak
 def test_a_page_that_is_not_in_front_waits_until_it_is(service: Serving, looking: Looking) -> None:
     page = looking.goto(service.address)
     expect(page.get_by_role("link", name="New campaign")).to_be_visible()

@@ -46,6 +46,7 @@ def shown_run(page: Page) -> int:
     return int(heading.inner_text().rpartition(" ")[2])
 
 
+@pytest.mark.soak
 def test_the_page_goes_on_to_the_next_flight_while_a_campaign_flies(
     service: Serving, looking: Looking, flying: str
 ) -> None:
@@ -58,6 +59,7 @@ def test_the_page_goes_on_to_the_next_flight_while_a_campaign_flies(
         assert page.url == service.address + path
 
 
+@pytest.mark.soak
 def test_a_run_that_the_address_names_stays_and_is_said_to_have_ended(
     service: Serving, client: Client, looking: Looking, flying: str
 ) -> None:
@@ -129,6 +131,7 @@ def test_a_flight_is_started_and_watched(service: Serving, client: Client, looki
     expect(page.get_by_text(re.compile("has ended: the campaign was cancelled"))).to_be_visible()
 
 
+@pytest.mark.soak
 def test_a_flight_under_way_is_struck_by_hand(service: Serving, client: Client, looking: Looking) -> None:
     # Long enough for a browser to strike it, and no longer: two more follow, to their ends.
     spec = MissionSpec(mission="scanning", seed=7, limits=Limits(mission_time_s=STRUCK_WITHIN_S))
@@ -154,6 +157,7 @@ def test_a_flight_under_way_is_struck_by_hand(service: Serving, client: Client, 
     expect(page.get_by_role("heading", name="Injection")).to_be_visible()
 
 
+@pytest.mark.soak
 def test_a_flight_that_waits_and_then_flies_is_shown_by_itself(
     service: Serving, client: Client, looking: Looking
 ) -> None:

@@ -54,6 +54,7 @@ def point_at_all(chart: Locator) -> None:
     )
 
 
+@pytest.mark.soak
 def test_a_campaign_is_started_from_the_form_and_watched_without_loading_again(
     service: Serving, looking: Looking, client: Client
 ) -> None:
@@ -201,6 +202,7 @@ def test_exports_can_be_had_from_the_page(service: Serving, looking: Looking, sh
     assert len(Path(got.value.path()).read_text().splitlines()) == 9
 
 
+@pytest.mark.soak
 def test_a_campaign_is_paused_resumed_and_cloned(
     service: Serving, looking: Looking, client: Client, long: str
 ) -> None:
@@ -237,6 +239,7 @@ def test_a_campaign_is_paused_resumed_and_cloned(
     expect(buttons.get_by_role("button", name="resume")).to_be_visible()
 
 
+@pytest.mark.soak
 def test_a_campaign_is_cancelled_and_deleted_after_a_question(
     service: Serving, looking: Looking, client: Client, long: str
 ) -> None:
@@ -388,6 +391,7 @@ def test_a_theme_that_was_chosen_stays_and_keys_reach_everything(service: Servin
     assert page.evaluate("document.body.classList.contains('body--dark')")
 
 
+@pytest.mark.soak
 def test_a_stopped_server_is_told_and_the_page_comes_back_by_itself(tmp_path: Path, looking: Looking) -> None:
     with serving(tmp_path) as one:
         port = int(one.address.rsplit(":", 1)[1])

@@ -66,6 +66,7 @@ def vehicles(page: Page) -> list[tuple[str | None, str | None]]:
     return [(one.get_attribute("cx"), one.get_attribute("cy")) for one in circles]
 
 
+@pytest.mark.soak
 def test_a_run_is_recorded_looked_through_replayed_and_taken_away(
     service: Serving, client: Client, looking: Looking, runs: dict[str, str], tmp_path: Path
 ) -> None:
@@ -118,6 +119,7 @@ def test_a_run_is_recorded_looked_through_replayed_and_taken_away(
     expect(page.get_by_text("Replay: replayed")).to_be_visible()
 
 
+@pytest.mark.soak
 def test_a_run_of_a_campaign_that_keeps_recordings_is_drawn_at_once(
     service: Serving, looking: Looking, kept: dict[str, str]
 ) -> None:
