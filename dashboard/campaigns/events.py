@@ -53,6 +53,15 @@ class NotFlown:
 
 
 @dataclass(frozen=True, slots=True)
+class Disturbed:
+    """A process of a flight was ended from outside: an attempt, and the run is flown again."""
+
+    lease: str
+    run: int
+    error: str
+
+
+@dataclass(frozen=True, slots=True)
 class Lost:
     """The worker is gone: what it was flying counts as an attempt, what it had not begun does not."""
 
@@ -98,6 +107,7 @@ Event = (
     | Alive
     | Flown
     | NotFlown
+    | Disturbed
     | Lost
     | LeaseTimePassed
     | NotNeeded

@@ -7,7 +7,8 @@ queued     waits for a worker
 leased     promised to a worker, which has not begun it; the lease ends unless the worker is heard of
 running    being flown; each beginning is an attempt
 done       flown, with exactly one result; final
-failed     *we* could not fly it, or lost its worker too often; flown again if the campaign is resumed
+failed     *we* could not fly it, or it was disturbed or lost its worker too often; flown again if the
+           campaign is resumed
 cancelled  not to be flown: the campaign was cancelled, or its stopping rule needs no more
 ========== =======================================================================================
 
@@ -39,6 +40,7 @@ from dashboard.campaigns.events import (
     Begin,
     Cancel,
     CannotBegin,
+    Disturbed,
     Event,
     Flown,
     Leased,
@@ -146,6 +148,8 @@ class CampaignStates:
                 return self._end(lease, run, "done", "")
             case NotFlown(lease, run, error):
                 return self._end(lease, run, "failed", error)
+            case Disturbed(lease, run, error):
+                return self._disturb(lease, run, error)
             case Lost(lease, error):
                 return self._lose(lease, error) if self._knows(lease) else []
             case LeaseTimePassed(now_s):
@@ -210,14 +214,23 @@ class CampaignStates:
             del self._leases[lease]
         return self._change([run], phase=phase, lease="", error=error)
 
+    def _disturb(self, lease: str, run: int, error: str) -> list[int]:
+        phase, why = self._after_a_loss(run, error)
+        return self._end(lease, run, phase, why)
+
     def _lose(self, lease: str, error: str) -> list[int]:
         changed = []
         for run in sorted(self._leases.pop(lease).runs):
-            state = self._runs[run]
-            spent = state.phase == "running" and state.attempts >= self._attempts
-            why = f"{error}, {state.attempts} times" if spent else ""
-            changed += self._change([run], phase="failed" if spent else "queued", lease="", error=why)
+            phase, why = self._after_a_loss(run, error)
+            changed += self._change([run], phase=phase, lease="", error=why)
         return changed
+
+    def _after_a_loss(self, run: int, error: str) -> tuple[RunPhase, str]:
+        """The phase of a run that was not flown to its end, and why it failed if it has no attempt left."""
+        state = self._runs[run]
+        if state.phase == "running" and state.attempts >= self._attempts:
+            return "failed", f"{error}, {state.attempts} times"
+        return "queued", ""
 
     def _void_leases(self) -> list[int]:
         """Nobody holds anything any more; who was flying has its attempt back."""

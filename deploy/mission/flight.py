@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deploy.config.workdir import mission_folder
-from deploy.errors import InfrastructureError
+from deploy.errors import DisturbedFlightError, InfrastructureError
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.listening import MissionBus
 from deploy.mission.outcome import MissionEnd, mission_outcome
@@ -60,6 +60,7 @@ def fly(
     ``keep_messages`` gives the caller every recorded message up to the end of the mission, by topic; ``taps``
     are given the same meanwhile, and injection and alarms, in the order of virtual time.
 
+    :raises DisturbedFlightError: if a process was ended from outside.
     :raises InfrastructureError: if the infrastructure failed. A crashed vehicle or node returns normally.
     """
     begin = time.monotonic()
@@ -145,8 +146,12 @@ class _Mission:
     def _handle_stall(self) -> None:
         """Kill the process that keeps all others waiting without computing.
 
+        :raises DisturbedFlightError: if one was stopped from outside.
         :raises InfrastructureError: if none is to blame.
         """
+        if stopped := self._supervisor.stopped():
+            message = f"{', '.join(stopped)} was stopped from outside"
+            raise DisturbedFlightError(message)
         members = self._supervisor.members
         if any(one.alive and one.stats.page["gated"] for one in members.values()):
             return  # probes are under way; should the injector die of it, that is noticed

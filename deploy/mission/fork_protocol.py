@@ -8,6 +8,9 @@ EXIT_BUG = 70
 EXIT_REAPER = 71
 """What is reported of a process whose reaper failed, which is our own failure."""
 
+EXIT_NONSENSE = 72
+"""What is reported of a node that was killed since what it told its proxy made no sense."""
+
 ZENOH_RUNTIME = (
     "(acc: (handover: app), net: (handover: app), tx: (handover: app), rx: (handover: app),"
     " app: (worker_threads: 2))"

@@ -40,10 +40,14 @@ class Forked:
 
 @dataclass(frozen=True, slots=True)
 class Exited:
-    """A process's end: ``status`` as of :func:`os.waitstatus_to_exitcode` (negative: the signal)."""
+    """A process's end: ``status`` as of :func:`os.waitstatus_to_exitcode` (negative: the signal).
+
+    ``by_another``: another process has sent the signal, or has ended the reaper.
+    """
 
     pid: int
     status: int
+    by_another: bool = False
 
 
 class ForkServer:
@@ -63,7 +67,7 @@ class ForkServer:
         )
         papers.close()
         self._reapers: dict[int, int] = {}
-        self._statuses: dict[int, int] = {}
+        self._exits: dict[int, Exited] = {}
         nodes, sidecars = (
             {process.name: process.module for process in stack.values() if process.sidecar == sidecar}
             for sidecar in (False, True)
@@ -132,7 +136,7 @@ class ForkServer:
         message = json.loads(data)
         pid = int(message["pid"])
         if "status" in message:
-            self._statuses[pid] = int(message["status"])
+            self._exits[pid] = Exited(pid, int(message["status"]), bool(message["by_another"]))
             return None
         pidfd, self._reapers[pid] = descriptors
         return Forked(pid, pidfd)
@@ -144,8 +148,8 @@ class ForkServer:
             self._receive()
         for pid in ended:
             os.close(self._reapers.pop(pid))
-        # A reaper that ended without a word has failed.
-        return [Exited(pid, self._statuses.pop(pid, EXIT_REAPER)) for pid in ended]
+        # A reaper says what has failed; one that ended without a word was killed.
+        return [self._exits.pop(pid, Exited(pid, EXIT_REAPER, by_another=True)) for pid in ended]
 
     def discard(self, pid: int) -> None:
         """Kill a process and its reaper, which would wait for all of its messages to be recorded."""

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from deploy.errors import DisturbedFlightError
 from deploy.mission.flight import FlownMission, Watch, fly
 from deploy.mission.fork_server import ForkServer
 from deploy.recording.live_feed import LiveFeed
@@ -55,6 +56,7 @@ class PairFlyer:
         propagated. ``live`` is the socket of who shows flights while they are flown.
 
         :raises NothingToInjectError: if the twin never runs the fault's kernel.
+        :raises DisturbedFlightError: if a process was ended from outside, or dies without a fault.
         """
         self._live = live
         if spec.fault is None:
@@ -80,7 +82,9 @@ class PairFlyer:
         if known is not None and known.messages is not None and recording is not None:
             recording.copy(known.messages)
         elif known is None or (keep and known.messages is None):
-            self._twins[key] = self._fly(spec, *([] if recording is None else [recording]), keep=keep)
+            flown = self._fly(spec, *([] if recording is None else [recording]), keep=keep)
+            _require_no_death(flown.outcome)
+            self._twins[key] = flown
             if len(self._twins) > TWINS_KEPT:
                 self._twins.popitem(last=False)
         return self._twins[key]
@@ -91,6 +95,17 @@ class PairFlyer:
             if self._live is not None:
                 taps = (*taps, stack.enter_context(LiveFeed(self._live, spec)))
             return fly(spec, self._server, keep_messages=keep, watch=self._watch, taps=taps)
+
+
+def _require_no_death(golden: Outcome) -> None:
+    """Nothing in a golden flight explains a death, so there is something from outside, or a bug.
+
+    :raises DisturbedFlightError: if a process has died.
+    """
+    for name, report in golden.nodes.items():
+        if report.causes:
+            message = f"{name} died in a flight without a fault: {report.causes[0]}"
+            raise DisturbedFlightError(message)
 
 
 def _with_report(flight: FlownMission, recording: McapRecorder) -> FlownMission:

@@ -15,9 +15,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from deploy.config.processes import ProcessDeclaration
-from deploy.errors import InfrastructureError
-from deploy.mission.fork_protocol import EXIT_BUG, EXIT_REAPER
+from deploy.errors import DisturbedFlightError, InfrastructureError
+from deploy.mission.fork_protocol import EXIT_BUG, EXIT_NONSENSE, EXIT_REAPER
 from deploy.mission.fork_server import Exited, ForkServer
+from injector.tracing.process import tracer_of
 from services.bus.session import BusAddress
 from services.models.outcome import KernelUse, NodeReport, NodeResult
 from services.runtime.setup import NodeSetup
@@ -125,20 +126,23 @@ class Supervisor:
         return member
 
     def deaths(self) -> list[tuple[SupervisedNode, Exited]]:
-        """The members that ended since the last call, crashes and hangs counted."""
-        by_pid = {member.pid: member for member in self.members.values()}
-        ended = []
-        for exited in self._server.exits():
-            member = by_pid.get(exited.pid)
-            if member is None or not member.alive:
-                continue
+        """The members that ended since the last call, crashes and hangs counted.
+
+        :raises DisturbedFlightError: if another process has ended one.
+        :raises InfrastructureError: if a proxy of ours has failed.
+        """
+        by_pid = {member.pid: member for member in self.members.values() if member.alive}
+        ended = [(by_pid[exited.pid], exited) for exited in self._server.exits() if exited.pid in by_pid]
+        for member, _ in ended:  # all of them before an error: nobody is told of an end twice
             member.buried()
+        for member, exited in ended:
+            if exited.by_another and not member.killed_for_hanging:
+                raise DisturbedFlightError(_ended_from_outside(member, exited))
             if exited.status == EXIT_REAPER:
                 message = f"the proxy of {member.process.name} failed: {member.log_tail}"
                 raise InfrastructureError(message)
             if exited.status != 0:
                 self._count(member, exited.status)
-            ended.append((member, exited))
         return ended
 
     def _count(self, member: SupervisedNode, status: int) -> None:
@@ -150,13 +154,16 @@ class Supervisor:
         member.crashes += 1
         if status == EXIT_BUG:
             member.causes.append(member.log_tail)
+        elif status == EXIT_NONSENSE:
+            member.causes.append("nonsense")
         else:
             member.causes.append(signal.Signals(-status).name if status < 0 else f"exit status {status}")
 
     def kill_hung(self) -> None:
         """Kill the nodes whose present step has used more thread time than a hang is granted.
 
-        Thread time, not wall time: a loaded machine makes nobody hang.
+        Thread time, not wall time: a loaded machine makes nobody hang. Nor does who traces a node: it is
+        traced until the fault strikes, and up to there does what its golden twin does.
         """
         for member in self.members.values():
             page = member.stats.page
@@ -164,8 +171,9 @@ class Supervisor:
                 member.watched_step = (-1, -1)
                 continue
             step = (member.life, int(page["steps"]))
-            used_s = thread_cpu_s(int(page["program"]) or member.pid)
-            if step != member.watched_step:
+            pid = int(page["program"]) or member.pid
+            used_s = thread_cpu_s(pid)
+            if step != member.watched_step or tracer_of(pid):
                 member.watched_step, member.cpu_at_step_s = step, used_s
             elif used_s - member.cpu_at_step_s > self._hang_cpu_s:
                 self.kill_as_hung(member)
@@ -175,6 +183,12 @@ class Supervisor:
         if member.alive:
             member.killed_for_hanging = True
             member.kill()
+
+    def stopped(self) -> list[str]:
+        """The names of the processes that somebody has stopped (SIGSTOP)."""
+        return [
+            member.process.name for member in self.members.values() if member.alive and is_stopped(member.pid)
+        ]
 
     def end(self, grace_s: float, meanwhile: Callable[[], object]) -> None:
         """Wait for the members to end by themselves, calling ``meanwhile`` again and again; kill the rest."""
@@ -199,6 +213,20 @@ class Supervisor:
         self.end(STOP_S, lambda: time.sleep(0.001))
         for member in self.members.values():
             member.stats.close()
+
+
+def _ended_from_outside(member: SupervisedNode, exited: Exited) -> str:
+    if exited.status == EXIT_REAPER:
+        return f"the proxy of {member.process.name} was killed from outside"
+    return f"{member.process.name} was ended from outside ({signal.Signals(-exited.status).name})"
+
+
+def is_stopped(pid: int) -> bool:
+    """Whether somebody has stopped a process."""
+    try:
+        return main_thread_stat(pid).state == "T"
+    except OSError:
+        return False
 
 
 def thread_cpu_s(pid: int) -> float:

@@ -29,13 +29,13 @@ from types import ModuleType
 from numba.core import event as numba_event
 
 from deploy.config.processes import FOREIGN
-from deploy.mission.fork_protocol import EXIT_BUG, EXIT_REAPER, MESSAGE_SIZE, SIDE_SERVER
+from deploy.mission.fork_protocol import EXIT_BUG, EXIT_NONSENSE, EXIT_REAPER, MESSAGE_SIZE, SIDE_SERVER
 from injector.reproducible import fork_loop, pid_namespace
 from injector.reproducible.bootstrap import STANDARD
+from injector.reproducible.fatal_signals import ended_by_another, handle_fatal_signals
 from injector.reproducible.fixed_libc import FIXED_LIBC
 from injector.reproducible.forked_question import answered_by_a_fork
 from injector.reproducible.launch import begin_again_if, begin_again_to_compile
-from injector.reproducible.sigtrap_guard import guard_against_traps
 from services.bus.messages import prepare
 from services.bus.proxy_link import NodeLink, NonsenseError, ProxyLink, receive
 from services.bus.session import BusAddress, topic_key
@@ -183,31 +183,39 @@ def _keep(papers: socket.socket, modules: Mapping[str, ModuleType]) -> None:
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     os.close(ORDERS)
     own, theirs = socket.socketpair()
+    origin, told_of_it = os.pipe()
     reaper = os.getpid()
     pid = os.fork()
     if not pid:
         die_with_parent(reaper)
         own.close()
+        os.close(origin)
         papers.close()
-        _be(theirs, modules)
+        _be(theirs, told_of_it, modules)
     theirs.close()
+    os.close(told_of_it)
     FIXED_LIBC.end()
     message, descriptors, _, _ = socket.recv_fds(papers, MESSAGE_SIZE, 2)
     listed = listed_pid(pid)
     socket.send_fds(
         papers, [json.dumps({"pid": listed}).encode()], [os.pidfd_open(pid), os.pidfd_open(os.getpid())]
     )
-    status = EXIT_REAPER
+    status, by_another = EXIT_REAPER, False
     try:
-        _attend(own, pid, json.loads(message), descriptors)
+        sound = _attend(own, pid, json.loads(message), descriptors)
         status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        if sound:
+            by_another = ended_by_another(status, origin)
+        else:
+            status = EXIT_NONSENSE
     except BaseException:  # noqa: BLE001 - whatever ends a reaper is in the log
         traceback.print_exc()
-    papers.send(json.dumps({"pid": listed, "status": status}).encode())
+    papers.send(json.dumps({"pid": listed, "status": status, "by_another": by_another}).encode())
     os._exit(0)
 
 
-def _attend(end: socket.socket, pid: int, order: Mapping[str, str], descriptors: list[int]) -> None:
+def _attend(end: socket.socket, pid: int, order: Mapping[str, str], descriptors: list[int]) -> bool:
+    """Give the process what it needs and, if it is a node, serve it; False if it had to be killed."""
     stats, log = descriptors
     os.dup2(log, 1)
     os.dup2(log, 2)
@@ -220,7 +228,7 @@ def _attend(end: socket.socket, pid: int, order: Mapping[str, str], descriptors:
     end.sendall(given)
     if order["sidecar"]:
         end.sendall(address)
-        return
+        return True
     folder, namespace = json.loads(address)
     bus = proxy(setup, BusAddress(Path(folder), namespace), ProxyLink(end), pid, SharedStats(stats))
     try:
@@ -228,15 +236,18 @@ def _attend(end: socket.socket, pid: int, order: Mapping[str, str], descriptors:
     except NonsenseError:
         traceback.print_exc()
         os.kill(pid, signal.SIGKILL)
+        return False
+    return True
 
 
 # -- the process -------------------------------------------------------------------------------------
 
 
-def _be(end: socket.socket, modules: Mapping[str, ModuleType]) -> None:
+def _be(end: socket.socket, origin: int, modules: Mapping[str, ModuleType]) -> None:
     """Become the process that the setup on the socket describes; does not return."""
     status = EXIT_BUG
     try:
+        handle_fatal_signals(origin)
         _run(end, modules)
         status = 0
     except BaseException:  # noqa: BLE001 - whatever ends a node is in its log
@@ -255,7 +266,6 @@ def _run(end: socket.socket, modules: Mapping[str, ModuleType]) -> None:
     gc.disable()
     if tracer_pid:
         libc.prctl(_PR_SET_PTRACER, tracer_pid, 0, 0, 0)
-        guard_against_traps()
     setup = NodeSetup.model_validate_json(receive(end, setup_size))
     libc.prctl(_PR_SET_NAME, f"zenfi-{setup.name}".encode())
     stats = SharedStats(page)

@@ -30,7 +30,8 @@ class WorkerAnswer(Strict):
 
     With ``alive``, a worker that is watched sends the status of its flight and what it sees, if one is
     under way.
-    ``error`` is our failure to fly the run; what became of the vehicle is an ``outcome``.
+    ``error`` is our failure to fly the run; what became of the vehicle is an ``outcome``. A flight was
+    ``disturbed`` if something from outside ended one of its processes: flown again, it may well succeed.
     """
 
     alive: bool = False
@@ -38,9 +39,12 @@ class WorkerAnswer(Strict):
     sight: FlightSnapshot | None = None
     outcome: Outcome | None = None
     error: str = ""
+    disturbed: bool = False
 
     @model_validator(mode="after")
     def _says_one_thing(self) -> WorkerAnswer:
         if self.alive + (self.outcome is not None) + bool(self.error) != 1:
             raise ValueError("expected one of alive, outcome, error")
+        if self.disturbed and not self.error:
+            raise ValueError("disturbed, but by what?")
         return self

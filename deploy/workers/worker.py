@@ -14,7 +14,7 @@ import os
 import sys
 import threading
 
-from deploy.errors import InfrastructureError
+from deploy.errors import DisturbedFlightError, InfrastructureError
 from deploy.mission.fork_server import ForkServer, ForkServerError
 from deploy.mission.golden_twin import NothingToInjectError, PairFlyer
 from deploy.recording.flight_status import FlightStatus, current_status
@@ -129,6 +129,8 @@ def _seen(window: _Window) -> str:
 def _fly(pairs: PairFlyer, order: WorkerOrder) -> WorkerAnswer:
     try:
         return WorkerAnswer(outcome=pairs.fly(order.spec, order.record, order.about, order.live))
+    except DisturbedFlightError as error:
+        return WorkerAnswer(error=str(error), disturbed=True)
     except (InfrastructureError, ForkServerError, NothingToInjectError) as error:
         return WorkerAnswer(error=f"{type(error).__name__}: {error}")
 

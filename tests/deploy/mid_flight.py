@@ -4,14 +4,19 @@ import os
 import signal
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 import pytest
 
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
 from deploy.recording.recorder import FlightRecorder
+from injector.tracing import ptrace
 from services.models.mission import MissionSpec
 from tests.conftest import node, wait_until
+
+NOWHERE = 16
+"""An address where nothing is mapped."""
 
 FLOWN_NS = 2_000_000_000
 """Of virtual time: a plan is made and flown; no mission of the tests is over by then."""
@@ -48,16 +53,40 @@ def fly_and(server: ForkServer, spec: MissionSpec, meanwhile: Callable[[], None]
     return flight
 
 
-def fly_and_kill(server: ForkServer, spec: MissionSpec, name: str) -> FlownMission:
-    """Fly and kill a node on the way; on a busy machine the flight may be over first, then again."""
+def fly_and_crash(server: ForkServer, spec: MissionSpec, name: str) -> FlownMission:
+    """Fly and have a node crash by its own doing on the way; if the flight is over first, then again."""
+
+    def crash() -> None:
+        pid = node(os.getpid(), name)
+        if pid is not None:
+            jump_to_nowhere(pid)
+
+    for _ in range(5):
+        flight = fly_and(server, spec, crash)
+        if flight.outcome.nodes[name].crashes:
+            return flight
+    pytest.fail("five flights were over before the crash")
+
+
+def jump_to_nowhere(pid: int) -> None:
+    """Have a process go on at an address where nothing is."""
+    with suppress(ProcessLookupError):
+        ptrace.seize(pid)
+        ptrace.interrupt(pid)
+        ptrace.await_report(pid)
+        ptrace.go_to(pid, NOWHERE)
+        ptrace.detach(pid)
+
+
+def fly_and_kill(server: ForkServer, spec: MissionSpec, name: str, number: signal.Signals) -> FlownMission:
+    """Fly and have a process that is named so be sent a signal on the way.
+
+    :raises Exception: what the flight failed with.
+    """
 
     def kill() -> None:
         pid = node(os.getpid(), name)
-        if pid is not None:
-            os.kill(pid, signal.SIGKILL)
+        assert pid is not None
+        os.kill(pid, number)
 
-    for _ in range(5):
-        flight = fly_and(server, spec, kill)
-        if flight.outcome.nodes[name].crashes:
-            return flight
-    pytest.fail("five flights were over before the kill arrived")
+    return fly_and(server, spec, kill)

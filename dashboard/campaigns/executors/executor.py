@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from dashboard.campaigns.events import Alive, Flown, Lost, NotFlown, RunStarted
+from dashboard.campaigns.events import Alive, Disturbed, Flown, Lost, NotFlown, RunStarted
 from deploy.errors import InfrastructureError
 from deploy.recording.flight_status import FlightStatus
 from deploy.recording.snapshot import FlightSnapshot
@@ -33,7 +33,7 @@ class ExecutorReport:
     stands, and what it sees if it was looked at.
     """
 
-    event: RunStarted | Alive | Flown | NotFlown | Lost
+    event: RunStarted | Alive | Flown | NotFlown | Disturbed | Lost
     outcome: Outcome | None = None
     flight: tuple[int, FlightStatus, FlightSnapshot | None] | None = None
 
@@ -83,6 +83,8 @@ def reports(lease: str, run: int, answer: WorkerAnswer, lease_s: float) -> list[
     alive = ExecutorReport(Alive(lease, time.monotonic() + lease_s), flight=flight)
     if answer.outcome is not None:
         return [alive, ExecutorReport(Flown(lease, run), answer.outcome)]
+    if answer.disturbed:
+        return [alive, ExecutorReport(Disturbed(lease, run, answer.error))]
     return [alive, ExecutorReport(NotFlown(lease, run, answer.error))] if answer.error else [alive]
 
 

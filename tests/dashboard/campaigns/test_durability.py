@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dashboard.campaigns.flight_record import FlightRecord
@@ -29,6 +30,11 @@ limits = {{attempts = 20, disk_mb = {disk_mb}}}
 arms = [{{name = "golden"}}, {{name = "flip", fault = {{target = "pid"}}}}]
 """
 RUNS = 24
+OF_A_FLIGHT = ("zenfi-", "proxy-")
+"""How the names of its processes begin."""
+
+SIGNALS = (signal.SIGKILL, signal.SIGSEGV, signal.SIGTERM)
+
 PATIENCE_S = 300.0
 
 
@@ -166,6 +172,28 @@ def test_a_lost_fork_server_costs_no_run(
     assert [told(record) for record in ours] == [told(record) for record in theirs]
     wait_until(lambda: not any(map(alive, family)))
     assert not [folder for pid in family for folder in folders(pid)]
+
+
+@pytest.mark.parametrize("runs", [12, pytest.param(300, marks=pytest.mark.soak)])
+def test_flights_whose_processes_are_ended_from_outside_are_flown_again(tmp_path: Path, runs: int) -> None:
+    """Nodes, their proxies and injectors, at moments drawn by chance."""
+    calm, hard = tmp_path / "calm", tmp_path / "hard"
+    with zenfi(calm, "run", spec(tmp_path, runs // 4)) as command:
+        assert command.wait(PATIENCE_S) == 0
+
+    draw = np.random.default_rng(runs)
+    with zenfi(hard, "run", spec(tmp_path, runs // 4)) as command:
+        while command.poll() is None:
+            victims = [pid for pid, name in descendants(command.pid).items() if name.startswith(OF_A_FLIGHT)]
+            if victims and alive(pid := victims[draw.integers(len(victims))]):
+                os.kill(pid, SIGNALS[draw.integers(len(SIGNALS))])
+            time.sleep(draw.uniform(0.2, 1.2))
+        assert command.returncode == 0
+
+    ours, theirs = records(hard), records(calm)
+    assert [(record.phase, record.error) for record in ours] == [("done", "")] * runs
+    assert [told(record) for record in ours] == [told(record) for record in theirs]
+    assert sum(record.attempts for record in ours) > runs
 
 
 def told(record: FlightRecord) -> tuple[object, ...]:

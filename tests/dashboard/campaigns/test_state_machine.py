@@ -5,6 +5,7 @@ import itertools
 import re
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from dashboard.campaigns.events import (
     Begin,
     Cancel,
     CannotBegin,
+    Disturbed,
     Event,
     Flown,
     Leased,
@@ -41,6 +43,7 @@ events = st.one_of(
     st.builds(Alive, leases, times),
     st.builds(Flown, leases, runs),
     st.builds(NotFlown, leases, runs, st.just("broken")),
+    st.builds(Disturbed, leases, runs, st.just("killed")),
     st.builds(Lost, leases, st.just("lost")),
     st.builds(LeaseTimePassed, times),
     st.builds(NotNeeded),
@@ -106,6 +109,7 @@ def everything_that_can_happen(runs: int, names: str) -> Iterator[Event]:
             yield from (Leased(lease, some, 0.0) for some in itertools.combinations(range(runs), size))
         for run in range(runs):
             yield from (RunStarted(lease, run), Flown(lease, run), NotFlown(lease, run, "broken"))
+            yield Disturbed(lease, run, "killed")
 
 
 def identity(campaign: CampaignStates) -> tuple[object, ...]:
@@ -179,11 +183,20 @@ def test_a_lost_worker_costs_an_attempt_only_of_what_it_flew() -> None:
     assert [(run.phase, run.attempts) for run in campaign.runs.values()] == [("queued", 1), ("queued", 0)]
 
 
-def test_retries_are_bounded() -> None:
+def test_a_disturbed_flight_costs_an_attempt_and_its_worker_goes_on() -> None:
+    campaign = told(Leased("a", (0, 1), 5.0), RunStarted("a", 0), Disturbed("a", 0, "killed"))
+    assert [(run.phase, run.attempts) for run in campaign.runs.values()] == [("queued", 1), ("leased", 0)]
+    campaign.handle(RunStarted("a", 1))
+    campaign.handle(Flown("a", 1))
+    assert phases(campaign) == ["queued", "done"]
+
+
+@pytest.mark.parametrize("end", [Lost("", "killed"), Disturbed("", 0, "killed")])
+def test_retries_are_bounded(end: Lost | Disturbed) -> None:
     campaign = fresh(1)
     campaign.handle(Begin())
     for name in ("a", "b"):
-        for event in (Leased(name, (0,), 5.0), RunStarted(name, 0), Lost(name, "killed")):
+        for event in (Leased(name, (0,), 5.0), RunStarted(name, 0), replace(end, lease=name)):
             campaign.handle(event)
     assert campaign.phase == "failed"
     assert campaign.runs[0].error == "killed, 2 times"

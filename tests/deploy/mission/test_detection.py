@@ -91,9 +91,9 @@ def watched(server: ForkServer) -> dict[str, Outcome]:
 @pytest.mark.parametrize(
     ("fixture", "result", "cause"),
     [
-        ("detector_dies", "crash", "SIGKILL"),
+        ("detector_dies", "crash", "SIGSEGV"),
         ("detector_hangs", "hang", "hang"),
-        ("detector_stops", "hang", "hang"),
+        ("detector_sleeps", "hang", "hang"),
     ],
 )
 @pytest.mark.parametrize("gate", ["on", "off"])

@@ -7,11 +7,13 @@ from contextlib import contextmanager
 
 import pytest
 
+from deploy.errors import DisturbedFlightError
+from deploy.mission import flight
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
 from services.models.mission import Limits, MissionSpec
 from tests.conftest import descendants, folders, forked, segments
-from tests.deploy.mid_flight import fly_and, fly_and_kill
+from tests.deploy.mid_flight import fly_and, fly_and_crash, fly_and_kill
 
 SPEC = MissionSpec(world="sparse", seed=7)
 
@@ -80,13 +82,39 @@ def test_a_platform_without_latency_repeats_too(platform: str, server: ForkServe
 
 
 @pytest.mark.parametrize("name", ["perception", "planning", "control"])
-def test_a_killed_node_is_a_result_and_comes_back(name: str, server: ForkServer) -> None:
-    flight = fly_and_kill(server, SPEC, name)
-    report = flight.outcome.nodes[name]
+def test_a_crashed_node_is_a_result_and_comes_back(name: str, server: ForkServer) -> None:
+    flown = fly_and_crash(server, SPEC, name)
+    report = flown.outcome.nodes[name]
     assert report.result == "crash"
-    assert report.causes == ["SIGKILL"]
+    assert report.causes == ["SIGSEGV"]
     assert report.restarts == 1
-    assert flight.outcome.result == "success"
+    assert flown.outcome.result == "success"
+    assert_nothing_is_left(server)
+
+
+@pytest.mark.parametrize(
+    ("name", "number"),
+    [
+        ("perception", signal.SIGKILL),
+        ("planning", signal.SIGSEGV),
+        ("control", signal.SIGTERM),
+        ("sim", signal.SIGKILL),
+    ],
+)
+def test_a_node_that_somebody_ends_makes_no_outcome(
+    name: str, number: signal.Signals, server: ForkServer
+) -> None:
+    with pytest.raises(DisturbedFlightError, match=f"{name} was ended from outside .{number.name}"):
+        fly_and_kill(server, SPEC, name, number)
+    assert_nothing_is_left(server)
+
+
+def test_a_node_that_somebody_stops_makes_no_outcome(
+    server: ForkServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(flight, "STALL_S", 0.5)
+    with pytest.raises(DisturbedFlightError, match="planning was stopped from outside"):
+        fly_and_kill(server, SPEC, "planning", signal.SIGSTOP)
     assert_nothing_is_left(server)
 
 
@@ -99,14 +127,14 @@ def test_no_process_of_a_flight_has_shared_memory_that_it_could_leave(server: Fo
 
 def test_a_node_without_a_restart_left_stays_down(server: ForkServer) -> None:
     spec = SPEC.model_copy(update={"limits": Limits(restarts=0, mission_time_s=60.0)})
-    flight = fly_and_kill(server, spec, "control")
-    assert flight.outcome.nodes["control"].result == "crash"
-    assert flight.outcome.result in ("collision", "timeout", "no_path")
+    flown = fly_and_crash(server, spec, "control")
+    assert flown.outcome.nodes["control"].result == "crash"
+    assert flown.outcome.result in ("collision", "timeout", "no_path")
 
 
-def test_a_killed_simulator_ends_the_mission(server: ForkServer) -> None:
-    flight = fly_and_kill(server, SPEC, "sim")
-    assert flight.outcome.result == "stack_failure"
-    assert flight.outcome.reason == "sim: SIGKILL"
-    assert flight.outcome.qof.flight_time_s > 0
+def test_a_crashed_simulator_ends_the_mission(server: ForkServer) -> None:
+    flown = fly_and_crash(server, SPEC, "sim")
+    assert flown.outcome.result == "stack_failure"
+    assert flown.outcome.reason == "sim: SIGSEGV"
+    assert flown.outcome.qof.flight_time_s > 0
     assert_nothing_is_left(server)

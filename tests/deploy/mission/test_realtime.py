@@ -7,7 +7,7 @@ from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from services.models.mission import FaultSpec, MissionSpec
 from services.models.world import BoxWorld
-from tests.deploy.mid_flight import fly_and_kill
+from tests.deploy.mid_flight import fly_and_crash
 from tests.deploy.mission.test_flight import assert_nothing_is_left
 
 A_BOX_IN_THE_WAY = BoxWorld(
@@ -32,8 +32,8 @@ def test_a_flight_takes_as_long_as_it_takes(server: ForkServer) -> None:
 
 
 @pytest.mark.soak
-def test_a_killed_node_comes_back(server: ForkServer) -> None:
-    outcome = fly_and_kill(server, SPEC, "planning").outcome
+def test_a_crashed_node_comes_back(server: ForkServer) -> None:
+    outcome = fly_and_crash(server, SPEC, "planning").outcome
     assert outcome.nodes["planning"].result == "crash"
     assert outcome.nodes["planning"].restarts == 1
     assert outcome.result == "success"

@@ -54,6 +54,16 @@ def test_an_error_of_ours_fails_the_run_at_once(monkeypatch: pytest.MonkeyPatch)
     assert finished.error == "a bug"
 
 
+def test_a_disturbed_flight_is_flown_again_by_the_same_worker(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = (
+        "import sys\nfor line in sys.stdin:"
+        ' print(\'{"error": "sim was ended from outside", "disturbed": true}\', flush=True)'
+    )
+    monkeypatch.setattr(local, "start_worker", worker(script))
+    (finished,) = fly_all([RUN], 1)
+    assert finished.error == "sim was ended from outside, 5 times"
+
+
 def test_a_silent_worker_loses_its_lease_and_its_process(monkeypatch: pytest.MonkeyPatch) -> None:
     started: list[subprocess.Popen[bytes]] = []
     make = worker("import time\ntime.sleep(600)")
