@@ -41,6 +41,9 @@ JOBS = {
 """The commands of each job. They run side by side; the last one, which is given further arguments, is shown
 as it goes, the others whole when all have ended."""
 
+HALVES = (["tests/dashboard"], ["--ignore=tests/dashboard"])
+"""What is added for two processes to run all of the gate's tests side by side."""
+
 
 def install(what: str) -> None:
     """Install ``what`` into the environment, unless that was done for this pyproject.toml."""
@@ -102,8 +105,15 @@ def main() -> int:
         sys.stderr.write(f"usage: python3 launch.py {'|'.join(JOBS)}\n")
         return 2
     install({"demo": ".", "docs": ".[docs]"}.get(job, ".[test]"))
+    return run(commands(job, more))
+
+
+def commands(job: str, more: Sequence[str]) -> list[list[str]]:
+    """The commands of a job; tests that are asked for by further arguments are not divided."""
     *checks, last = JOBS[job]
-    return run([*checks, [*last, *more]])
+    if job == "test" and not more:
+        return [*checks, *([*last, *half] for half in HALVES)]
+    return [*checks, [*last, *more]]
 
 
 if __name__ == "__main__":

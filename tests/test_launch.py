@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import launch
 from tests.conftest import wait_until
 from tests.test_names import ROOT
 
@@ -41,6 +42,17 @@ def test_commands_end_with_it(tmp_path: Path) -> None:
         wait_until(lambda: all(one.exists() for one in begun))
         running.send_signal(signal.SIGINT)
         assert running.wait(60) != 0
+
+
+def test_the_two_halves_are_all_tests_of_the_gate() -> None:
+    *_, one, other = launch.commands("test", [])
+    assert one == ["pytest", "-m", "not soak", "tests/dashboard"]
+    assert other == ["pytest", "-m", "not soak", "--ignore=tests/dashboard"]
+
+
+def test_tests_that_are_asked_for_run_once() -> None:
+    runs = [command for command in launch.commands("test", ["-k", "pid"]) if command[0] == "pytest"]
+    assert runs == [["pytest", "-m", "not soak", "-k", "pid"]]
 
 
 def test_an_unknown_job_is_told_which_there_are() -> None:

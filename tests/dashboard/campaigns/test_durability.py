@@ -111,9 +111,10 @@ def until(store: Path, results: int, command: "subprocess.Popen[bytes]") -> None
         time.sleep(0.1)
 
 
+@pytest.mark.soak
 @pytest.mark.parametrize(
     ("runs", "worker_at", "command_at", "resumed_at"),
-    [(12, 2, 4, (6,)), pytest.param(RUNS, 3, 6, (10, 14), marks=pytest.mark.soak)],
+    [(12, 2, 4, (6,)), (RUNS, 3, 6, (10, 14))],
 )
 def test_kills_change_nothing_but_the_time_it_takes(
     tmp_path: Path, runs: int, worker_at: int, command_at: int, resumed_at: tuple[int, ...]
@@ -174,7 +175,7 @@ def test_a_lost_fork_server_costs_no_run(
     assert not [folder for pid in family for folder in folders(pid)]
 
 
-@pytest.mark.parametrize("runs", [12, pytest.param(300, marks=pytest.mark.soak)])
+@pytest.mark.parametrize("runs", [8, pytest.param(300, marks=pytest.mark.soak)])
 def test_flights_whose_processes_are_ended_from_outside_are_flown_again(tmp_path: Path, runs: int) -> None:
     """Nodes, their proxies and injectors, at moments drawn by chance."""
     calm, hard = tmp_path / "calm", tmp_path / "hard"

@@ -242,6 +242,7 @@ def _strike_for_ever(pid: int) -> None:
         inject(pid, aims[seed % 3], seed, dry_run=True, watch_s=0, **models[seed % 2])
 
 
+@pytest.mark.soak
 def test_whoever_is_struck_lives_on_when_the_injector_is_killed_at_any_moment(mapper: Path) -> None:
     """The program has no handler for traps: with a single step under way, it would die of it."""
     moments = generator(0, "kills")

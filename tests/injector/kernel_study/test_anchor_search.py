@@ -94,6 +94,7 @@ def two_surveys_are_the_same(tmp_path: Path) -> None:
         assert anchor_search.run("twice") == anchor_search.run("twice")
 
 
+@pytest.mark.soak
 def test_a_census_counts_the_entries_of_functions(tmp_path: Path) -> None:
     in_small_process(census_counts_the_entries, tmp_path)
 
