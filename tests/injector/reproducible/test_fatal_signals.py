@@ -38,6 +38,8 @@ def ended(do: Callable[[], object], meanwhile: Callable[[int], object]) -> tuple
     origin, theirs = os.pipe()
     node = os.fork()
     if not node:
+        for number in (signal.SIGHUP, signal.SIGTERM):  # a test run may handle them
+            signal.signal(number, signal.SIG_DFL)
         handle_fatal_signals(theirs)
         do()
         os._exit(3)
