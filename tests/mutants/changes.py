@@ -269,8 +269,8 @@ MUTANTS: list[Mutant] = [
         ),
         (
             "scheduler: a run fails when its worker is lost for the first time",
-            'spent = state.phase == "running" and state.attempts >= self._attempts',
-            'spent = state.phase == "running"',
+            'if state.phase == "running" and state.attempts >= self._attempts:',
+            'if state.phase == "running":',
         ),
     ),
     *_of(

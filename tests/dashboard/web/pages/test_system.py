@@ -10,6 +10,7 @@ from services.models.mission import MissionSpec
 from tests.conftest import wait_until
 from tests.dashboard.api.conftest import Serving
 from tests.dashboard.web.conftest import Looking
+from tests.deploy.mid_flight import jump_to_nowhere
 
 
 def test_nodes_are_shown_and_how_often_they_were_restarted(
@@ -32,7 +33,7 @@ def test_nodes_are_shown_and_how_often_they_were_restarted(
     expect(planning.locator("td").nth(1)).to_have_text(str(pid))
     expect(page.get_by_role("region", name="Processes of the service")).to_contain_text(flight)
 
-    os.kill(pid, signal.SIGKILL)
+    jump_to_nowhere(pid)
     expect(planning.locator("td").nth(5)).to_have_text("1")
     os.kill(pids["sim"], signal.SIGCONT)
     assert list(client.watch(flight))[-1].data.phase == "done"
