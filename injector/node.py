@@ -12,7 +12,6 @@ from typing import Any
 
 import zenoh
 
-from injector.faults.code_scope import within
 from injector.faults.record import record_of
 from injector.faults.stopped_thread import InjectionResult
 from injector.flight.approach import KernelCall
@@ -26,7 +25,8 @@ from injector.flight.external_stage import (
     programs,
 )
 from injector.flight.injection import inject
-from injector.flight.probe import ProbeError, ProbeRun, draw_site, sent_ahead
+from injector.flight.probe import ProbeError, ProbeRun, sent_ahead
+from injector.flight.site_draw import NothingEligibleError, draw_site
 from injector.flight.warm_up import warm_up_on_a_fork
 from injector.tracing.process import END_LIMIT_MS, Process, ProcessIdentity, VanishedError
 from injector.tracing.ptrace import GoneError, hear_of_children
@@ -141,13 +141,15 @@ def inject_at(gate: NodeGate, fault: FaultSpec, seed: int, function: str | None)
     draw = rng.generator(seed, f"site {fault.target}", fault.seed)
     probes = ProbeRuns(gate, target, function or "")
     if trigger.site is None and trigger.cpu_ns is None:
-        if function is None:
-            trigger = draw_site(probes.ahead, trigger, draw, lambda process: within(fault, process))
-        else:
-            try:
+        try:
+            if function is None:
+                trigger = draw_site(probes.ahead, fault, trigger, draw)
+            else:
                 trigger = draw_site_in_function(probes.ahead_of_program, trigger, draw)
-            except NeverCalledError as error:
-                return never_called(gate, fault, trigger, str(error))
+        except NothingEligibleError as error:
+            return not_injected(gate, fault, trigger, InjectionResult("not_activated", str(error)))
+        except NeverCalledError as error:
+            return not_injected(gate, fault, trigger, InjectionResult("not_reached", str(error)))
     own = os.getpid()
     others = [one for _, one in sorted(gate.announced.items()) if one.pid not in (target.pid, own)]
     call = KernelCall(
@@ -168,13 +170,15 @@ def inject_at(gate: NodeGate, fault: FaultSpec, seed: int, function: str | None)
     return record.model_copy(update={"probes": probes.sent})
 
 
-def never_called(gate: NodeGate, fault: FaultSpec, trigger: Trigger, reason: str) -> InjectionRecord:
-    """The record of a step in which a program does not call the function in which to inject."""
+def not_injected(
+    gate: NodeGate, fault: FaultSpec, trigger: Trigger, result: InjectionResult
+) -> InjectionRecord:
+    """The record of a call in which there is nothing to strike, and which goes on as it is."""
     if not gate.wait():
         raise FlightOverError
     gate.open()
     return record_of(
-        InjectionResult("not_reached", reason),
+        result,
         fault,
         node=aimed_at(fault),
         kernel=fault.target,

@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from services.models.mission import FaultSpec
@@ -162,6 +162,11 @@ def aimed_at(fault: FaultSpec) -> str:
     from services.models.inter_kernel_states import members  # noqa: PLC0415 - the table is cheap to import
 
     return members(fault.target)[0].stage
+
+
+def scope_of(fault: FaultSpec) -> Literal["kernel", "thread"]:
+    """The code that a fault strikes: of a kernel of ours its own, unless all of the thread's is asked for."""
+    return fault.scope or ("kernel" if fault.target in KERNELS else "thread")
 
 
 PLANNERS: tuple[str, ...] = tuple(

@@ -117,7 +117,7 @@ def _check_program(fault: FaultSpec, own: OwnStage) -> None:
     if not own.function:
         message = f"stack: {stage} names no function, so no instruction of it can be struck"
         raise BadSpecError(message)
-    if fault.scope != "thread":
+    if fault.scope == "kernel":
         raise BadSpecError("fault: scope kernel goes with our own kernels; of a program, the call is struck")
     check_machine(fault)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Protocol
 
+from deploy.config.check import BadSpecError
 from deploy.kernel_study.workers import StudyWorkers
 from injector.kernel_study.anchor_search import TraceReply, TraceRequest, search_anchors
 from injector.kernel_study.checkpoints import SamplePoint, draw, legs
@@ -12,6 +13,9 @@ from injector.kernel_study.instruction_index import InstructionIndex
 from injector.kernel_study.study import StudyRun, StudyTask
 from services.models.mission import FaultSpec
 from services.runtime import rng
+
+SEARCHED = 10_000
+"""Places that are drawn without a single eligible one before the study is given up."""
 
 MARGIN = 1.02
 """So many times the places that will do are drawn: going through a call again for a few more is dear."""
@@ -50,16 +54,26 @@ class Study:
         """Make what is missing, reporting each result; all runs of the study by their numbers.
 
         :raises InfrastructureError: if a worker fails.
+        :raises BadSpecError: if the fault finds nothing to strike in the kernel.
         """
         with StudyWorkers(self._kernel, self._slots) as workers:
             try:
                 if self._memory.clock is None:
                     self._memory.survey(self._survey(workers))
                 while (missing := self._injections - self._done()) > 0:
+                    self._give_up_in_vain()
                     self._round(workers, self._more(missing), made)
             finally:
                 self.cpu_s = workers.cpu_s
         return self._first()
+
+    def _give_up_in_vain(self) -> None:
+        if self._drawn >= SEARCHED and not self._done():
+            message = (
+                f"{self._kernel}: the fault can strike none of {self._drawn} instructions that were drawn; "
+                "widen its scope, register_class, operand or field"
+            )
+            raise BadSpecError(message)
 
     def _survey(self, workers: StudyWorkers) -> InstructionIndex:
         def ask(parts: Sequence[TraceRequest]) -> Iterator[TraceReply]:
@@ -81,6 +95,8 @@ class Study:
         assert clock is not None  # noqa: S101 - surveyed before
         rate = max(self._done(), 1) / self._drawn if self._drawn else clock.kept
         count = missing if rate >= 1 else int(missing / rate * MARGIN) + 8
+        if not self._done():
+            count = min(count, SEARCHED)
         begin, self._drawn = self._drawn, self._drawn + count
         stream = f"place {self._kernel}"
         return [

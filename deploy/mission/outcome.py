@@ -11,7 +11,7 @@ from deploy.recording.recorder import FlightRecorder, FlightTrace
 from services.bus.horizon import NEVER_NS
 from services.bus.messages import decode
 from services.bus.topics import RECORDED, STAGES, TOPICS
-from services.kernels import aimed_at
+from services.kernels import aimed_at, scope_of
 from services.models.mission import FaultSpec, MissionSpec
 from services.models.outcome import (
     NO_FLIGHT,
@@ -95,7 +95,7 @@ def _not_reached(fault: FaultSpec) -> InjectionRecord:
         kernel=fault.target if fault.level == "instruction" else "",
         invocation=(fault.trigger.invocation if fault.trigger is not None else None) or 0,
         model=fault.model,
-        scope=fault.scope,
+        scope=scope_of(fault),
     )
 
 

@@ -6,14 +6,15 @@ from bisect import bisect_right
 from collections.abc import Callable
 from pathlib import Path
 
+from injector.tracing.elf import code_sections
 from injector.tracing.process import MemoryMap, Process
-from services.kernels import KERNELS
+from services.kernels import KERNELS, scope_of
 from services.models.mission import FaultSpec
 
 
 def within(fault: FaultSpec, process: Process) -> Callable[[int], bool]:
     """A test of addresses: whether the fault may be injected into the instruction there."""
-    if fault.scope == "thread":
+    if scope_of(fault) == "thread":
         return lambda _: True
     ranges = code_ranges(process.maps(), KERNELS[fault.target].modules)
     starts = [start for start, _ in ranges]
@@ -23,6 +24,19 @@ def within(fault: FaultSpec, process: Process) -> Callable[[int], bool]:
         return index >= 0 and address < ranges[index][1]
 
     return inside
+
+
+def countable_code(fault: FaultSpec, process: Process) -> list[tuple[int, int]]:
+    """Where the code lies, in order, of which the fault strikes an instruction.
+
+    Without what the process may write to (code that it makes itself) and what the kernel gives to everyone.
+    """
+    maps = process.maps()
+    pieces = [one for one in maps.code() if "w" not in one.permissions and not one.name.startswith("[")]
+    if scope_of(fault) == "kernel":
+        own = set(code_ranges(maps, KERNELS[fault.target].modules))
+        pieces = [one for one in pieces if (one.start, one.end) in own]
+    return sorted(section for one in pieces for section in code_sections(process.pid, one))
 
 
 def code_ranges(maps: MemoryMap, modules: tuple[str, ...]) -> list[tuple[int, int]]:

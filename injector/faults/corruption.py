@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from injector.faults.eligibility import eligible_memory, eligible_registers
 from injector.faults.opcode import corrupt, execute
 from injector.faults.stopped_thread import (
     InjectionResult,
@@ -19,7 +20,7 @@ from injector.faults.stopped_thread import (
 from injector.isa.instruction import Candidate, MemoryAccess
 from injector.isa.registers import Registers
 from injector.tracing.ptrace import GoneError
-from services.models.fault_model import draw_bits, groups, struck
+from services.models.fault_model import draw_bits, struck
 from services.models.mission import FaultSpec
 
 
@@ -27,11 +28,7 @@ def corrupt_register(
     at: StoppedThread, fault: FaultSpec, draw: np.random.Generator
 ) -> InjectionResult | None:
     """Change a register that the instruction reads or writes, once or for some time."""
-    eligible = [
-        (one, among)
-        for one in at.instruction.eligible(fault.operand, fault.register_class)
-        if (among := groups(fault, one.width_bits, one.element_bits, one.accessed))
-    ]
+    eligible = eligible_registers(fault, at.instruction)
     if not eligible:
         return None
     candidate, among = eligible[int(draw.integers(len(eligible)))]
@@ -135,11 +132,7 @@ def corrupt_memory(at: StoppedThread, fault: FaultSpec, draw: np.random.Generato
 
     :raises AddressError: if it is not there or cannot be written.
     """
-    eligible = [
-        (one, among)
-        for one in at.instruction.memory
-        if fault.operand in ("any", one.role) and (among := groups(fault, one.width_bits, one.element_bits))
-    ]
+    eligible = eligible_memory(fault, at.instruction)
     if not eligible:
         return None
     access, among = eligible[int(draw.integers(len(eligible)))]

@@ -8,6 +8,7 @@ from typing import Any
 
 from injector.faults.stopped_thread import InjectionResult
 from injector.tracing.elf import CodeLocation
+from services.kernels import scope_of
 from services.models.mission import FaultSpec
 from services.models.outcome import InjectionRecord
 
@@ -33,7 +34,7 @@ def record_of(
         kernel=kernel,
         invocation=invocation,
         model=fault.model,
-        scope=fault.scope,
+        scope=scope_of(fault),
         **circumstances,
     )
     changed = _described(result)

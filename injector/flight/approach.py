@@ -19,7 +19,7 @@ from injector.tracing.ptrace import wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from services.bus.announce import Announcement
-from services.models.mission import FaultSpec, Site
+from services.models.mission import FaultSpec, Site, Waypoint
 
 RERUN_NS = 100_000
 """Longest thread time from a system call to the next attempt."""
@@ -130,16 +130,26 @@ class NodeApproach(Approach):
         return self._inject() or InjectionResult("not_activated", "the site is a system call")
 
     def _pass_through(self, site: Site) -> None:
-        address = locate(self.target.pid, self.target.maps(), site.module, site.build_id, site.offset)
+        if site.way is None:
+            self._to_a_pass(site, site.hit, 0)
+            return
+        self._to_a_pass(site.way, site.way.hit, 0)
+        self._to_a_pass(site, site.way.rest, site.hit - site.way.rest)
+
+    def _to_a_pass(self, through: Site | Waypoint, hit: int, before: int) -> None:
+        """Run to a pass through an address, the ``hit``-th from here; so many were ``before``."""
+        module, build_id, offset = through.module, through.build_id, through.offset
+        address = locate(self.target.pid, self.target.maps(), module, build_id, offset)
         if address is None:
-            code = f"{site.module} {site.build_id}".strip() or f"{site.offset:#x}"
+            code = f"{module} {build_id}".strip() or f"{offset:#x}"
             raise MissedError("diverged", f"no such code is loaded: {code}")
-        with Breakpoint(self.thread, address, site.hit) as passes:
+        with Breakpoint(self.thread, address, hit) as passes:
             self.tracees.resume(self.thread)
             end = self._await(self._wake_the_others)
             hits = passes.hits
         if end == "finished":
-            raise MissedError("not_reached", f"the call ended after {hits} of {site.hit} passes")
+            reason = f"the call ended after {before + hits} of {before + hit} passes"
+            raise MissedError("not_reached", reason)
         if end != "trapped":
             raise self._lost(end)
 

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from injector.faults.stopped_thread import registers_of
-from injector.flight.probe import LIMIT_S, MOST_STEPS, approach
+from injector.flight.probe import LIMIT_S
+from injector.flight.traced_site import MOST_STEPS, approach
 from injector.isa.host import decode
 from injector.isa.instruction import DecodeError
 from injector.tracing.perf_events import Breakpoint, ThreadTimer, await_trap

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import os
 import signal
+from contextlib import suppress
 
 from injector.faults.apply import apply_fault
+from injector.faults.stopped_thread import TargetError
 from injector.flight.fingerprint import fingerprint_of
-from injector.tracing.process import Process, ProcessIdentity
+from injector.tracing.process import Process, ProcessIdentity, VanishedError
 from injector.tracing.tracees import TraceeGroup
 from services.models.mission import FaultSpec
 from services.runtime import rng
@@ -31,12 +33,14 @@ def warm_up_on_a_fork(fault: FaultSpec) -> None:
             pass
         os._exit(1)
     try:
-        with Process(ProcessIdentity.of(pid)) as process:
+        with suppress(VanishedError, TargetError), Process(ProcessIdentity.of(pid)) as process:
             for time in range(TIMES):
                 with TraceeGroup() as tracees:  # letting go is part of it
                     tracees.seize([pid])
                     tracees.stop_all()
-                    thread = tracees.threads[pid]
+                    thread = tracees.threads.get(pid)
+                    if thread is None:  # somebody else has killed it
+                        return
                     thread.timed = True
                     fingerprint_of(thread, process)
                     draw = rng.generator(0, "rehearsal", time)

@@ -11,14 +11,18 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Literal
 
 from injector.faults.apply import apply_fault
+from injector.faults.code_scope import within
+from injector.faults.eligibility import is_eligible
 from injector.faults.record import record_of
 from injector.faults.stopped_thread import InjectionResult
+from injector.isa.host import decode
+from injector.isa.instruction import DecodeError
 from injector.kernel_study.anchor_search import AnchorSearch, TraceReply, TraceRequest
 from injector.kernel_study.checkpoints import BEGINNING, CheckpointRun, SamplePoint
 from injector.kernel_study.instruction_index import InstructionIndex
@@ -108,6 +112,7 @@ class SubjectInjector:
         self._root = tracees.threads[pid]
         self._forks = RemoteForks(tracees)
         # The same in all copies.
+        self._inside: tuple[FaultSpec | None, Callable[[int], bool]] = (None, lambda _: True)
         self._places = elf.CodeLocations(pid, MemoryMap(Path(f"/proc/{pid}/maps").read_text()))
         self.anchor_search = AnchorSearch(tracees, self._forks, self._root, MARK)
         self._limit_s = _BEGIN_S
@@ -137,7 +142,7 @@ class SubjectInjector:
         """Inject at each of the places, up to the first at which no copy can be made."""
         with closing(CheckpointRun(self._tracees, self._forks, self._root, clock).visit(leg)) as places:
             for place, there in places:
-                if there is None:
+                if there is None or not self._is_eligible(there, fault):
                     yield place.index, None
                     continue
                 aimed = fault.model_copy(update={"seed": place.index, "trigger": self._trigger(place, clock)})
@@ -147,6 +152,24 @@ class SubjectInjector:
                     yield place.index, self._told(place, aimed, LOST, None)
                     return
                 yield place.index, self._inject(place, copy, aimed, seed)
+
+    def _is_eligible(self, there: Tracee, fault: FaultSpec) -> bool:
+        """Whether the fault can strike the instruction at which a thread stands."""
+        try:
+            address = ptrace.program_counter(there.tid)
+            with Process(ProcessIdentity.of(there.pid)) as process:
+                instruction = decode(process.read_code(address), address)
+        except (GoneError, VanishedError):
+            return True  # it is told of where no copy can be made
+        except DecodeError:
+            return False
+        return self._within(fault)(address) and is_eligible(fault, instruction)
+
+    def _within(self, fault: FaultSpec) -> Callable[[int], bool]:
+        if fault != self._inside[0]:
+            with Process(ProcessIdentity.of(self._root.pid)) as process:
+                self._inside = (fault, within(fault, process))
+        return self._inside[1]
 
     def _inject(self, place: SamplePoint, copy: Tracee, aimed: FaultSpec, seed: int) -> StudyRun:
         draw = rng.generator(seed, f"study {self._kernel}", place.index)

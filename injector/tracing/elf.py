@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from injector.tracing.process import MemoryMap, MemoryMapping
 
 _PT_LOAD, _PT_NOTE = 1, 4
-_SHT_SYMTAB, _SHT_DYNSYM = 2, 11
+_SHT_PROGBITS, _SHT_SYMTAB, _SHT_DYNSYM = 1, 2, 11
+_SHF_EXECINSTR = 4
 _NT_GNU_BUILD_ID = 3
 _FUNCTIONS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
 _HEADER = struct.Struct("<16sHHIQQQIHHHHHH")
@@ -151,6 +152,26 @@ def functions(pid: int, mapping: MemoryMapping) -> Iterator[tuple[str, int]]:
             address = loaded[-1] + int(symbol["value"])
             if mapping.start <= address < mapping.end:
                 yield _name(content, names + int(symbol["name"])), address
+
+
+def code_sections(pid: int, mapping: MemoryMapping) -> list[tuple[int, int]]:
+    """Where the code lies in a piece of memory: all of it if no file is behind it, or one without sections.
+
+    A file may have constants between its sections of code.
+    """
+    content = _content(pid, mapping.path) if mapping.path else None
+    if content is None or content[:6] != b"\x7fELF\x02\x01":
+        return [(mapping.start, mapping.end)]
+    _, _, _, _, _, _, sections, _, _, _, _, _, count, _ = _HEADER.unpack_from(content)
+    found = []
+    for at in range(count):
+        _, kind, flags, _, start, size, _, _, _, _ = _SECTION.unpack_from(
+            content, sections + at * _SECTION.size
+        )
+        begin = mapping.start - mapping.offset + start
+        if kind == _SHT_PROGBITS and flags & _SHF_EXECINSTR and mapping.start <= begin < mapping.end:
+            found.append((begin, min(begin + size, mapping.end)))
+    return found or [(mapping.start, mapping.end)]
 
 
 def _content(pid: int, path: str) -> mmap.mmap | None:

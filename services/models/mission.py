@@ -71,8 +71,8 @@ class FaultSpec(Strict):
     bit_numbers: tuple[int, ...] | None = Field(default=None, description="these bits, instead of drawn ones")
     stuck_value: Literal[0, 1] | None = None
     stuck_instructions: int | None = Field(default=None, ge=1, le=10_000)
-    scope: Literal["kernel", "thread"] = Field(
-        default="thread", description="the kernel's own code, or all that its thread runs in the call"
+    scope: Literal["kernel", "thread"] | None = Field(
+        default=None, description="the kernel's own code (default), or all that its thread runs in the call"
     )
     components: Literal["one", "all"] = Field(default="one", description="of a vector of states")
     point: int | None = Field(default=None, ge=0, description="of a trajectory, instead of a drawn one")
@@ -108,7 +108,8 @@ class FaultSpec(Strict):
     def _source_problems(self) -> Iterator[str]:
         if self.model not in ("bitflip", "none"):
             yield f"model {self.model} goes with level instruction; at level source: bitflip, none"
-        if (self.operand, self.register_class, self.scope) != ("any", "any", "thread"):
+        # Specifications that were stored have the default of then, which was thread.
+        if (self.operand, self.register_class) != ("any", "any") or self.scope == "kernel":
             yield "operand, register_class and scope go with level instruction: a message has none"
 
     def _field_problems(self) -> Iterator[str]:
@@ -130,20 +131,36 @@ class FaultSpec(Strict):
             yield "bits counts bits to be drawn, bit_numbers names them: leave out bits"
 
 
+class Waypoint(Strict):
+    """A pass shortly before a site, from which fewer passes are to be counted than from the call's beginning.
+
+    It is the ``hit``-th through ``offset`` of ``module`` since the call began; the site's own address is
+    passed ``rest`` times after it, the pass of the site included.
+    """
+
+    module: str = ""
+    build_id: str = ""
+    offset: int = Field(default=0, ge=0)
+    hit: int = Field(ge=1)
+    rest: int = Field(ge=1)
+
+
 class Site(Strict):
     """One dynamic instruction of a call, so that it can be found again.
 
     It is ``steps`` instructions after the ``hit``-th pass of the thread through ``offset`` of ``module``
     (no module: the address itself) since the call began; without a ``hit``, after the call's beginning.
+    ``way`` is a quicker way to that pass.
     ``code`` and ``registers`` are what must be found there before a bit is flipped; empty: not known yet.
     """
 
     precision: Literal["exact", "occurrence"] = Field(description="how exactly this is the drawn instruction")
-    step: int | None = Field(default=None, ge=0, description="number in the call, counted from 0; exact only")
+    step: int | None = Field(default=None, ge=0, description="number in the call, counted from 0, if known")
     module: str = ""
     build_id: str = ""
     offset: int = Field(default=0, ge=0)
     hit: int = Field(default=0, ge=0)
+    way: Waypoint | None = None
     steps: int = Field(default=0, ge=0)
     code: str = Field(default="", description="bytes of the instruction")
     registers: str = Field(default="", description="hash of those that it reads")

@@ -30,11 +30,12 @@ from services.system.lifeline import die_with_parent
 libc = ctypes.CDLL(None)
 libc.prctl(0x59616D61, ctypes.c_ulong(-1), 0, 0, 0)  # anybody may trace us
 libc.prctl(1, 9)  # die with the test
-page = mmap.mmap(-1, 4096, prot=7)
+page = mmap.mmap(-1, 4096, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
 #       xor eax,eax; mov ecx,edi; add rax,rcx; dec ecx; jnz -7; ret
 code = bytes.fromhex("31c0 89f9 4801c8 ffc9 75f9 c3")
 page[:len(code)] = code
 address = ctypes.addressof(ctypes.c_char.from_buffer(page))
+assert libc.mprotect(ctypes.c_void_p(address), 4096, mmap.PROT_READ | mmap.PROT_EXEC) == 0
 call = ctypes.PYFUNCTYPE(ctypes.c_uint64, ctypes.c_uint32)(address)
 call(1)
 print(address + 4, flush=True)
@@ -88,6 +89,14 @@ class Caller:
         with sent_ahead(self.announcement(), lambda: self.tell("probe")) as probe:
             yield probe
         assert self.line() == "gate\n"
+
+    def trace(self, most: int = 10**6) -> list[int]:
+        """Where the instructions of the call lie that a probe executes in single steps, to its end."""
+        with self.ahead() as probe:
+            addresses = probe.tracees.trace(probe.thread, most)
+            assert probe.thread.report is not None
+            assert probe.thread.report.kind == "gate"
+        return addresses[:-1]  # at the last one the mark comes first
 
     @property
     def probes(self) -> Callable[[], AbstractContextManager[ProbeRun]]:

@@ -15,17 +15,17 @@ import pytest
 ROOT = Path(__file__).parents[2]
 
 
-def in_small_process(body: Callable[[Path], None], folder: Path) -> None:
-    """Call ``body``, a function of a module, with ``folder``, and fail with what it printed if it fails."""
+def in_small_process(body: Callable[..., None], folder: Path, *texts: str) -> None:
+    """Call ``body``, a function of a module, with ``folder`` and ``texts``; fail with what it says if so."""
     if shutil.which("cc") is None:
         pytest.skip("no C compiler (cc) on this machine")
     code = (
         "import sys\nfrom pathlib import Path\n"
         f"from {body.__module__} import {body.__name__}\n"
-        f"{body.__name__}(Path(sys.argv[1]))"
+        f"{body.__name__}(Path(sys.argv[1]), *sys.argv[2:])"
     )
     done = subprocess.run(
-        [sys.executable, "-X", "faulthandler", "-c", code, str(folder)],
+        [sys.executable, "-X", "faulthandler", "-c", code, str(folder), *texts],
         cwd=ROOT,
         capture_output=True,
         text=True,

@@ -76,7 +76,7 @@ def test_only_the_kernels_own_code_is_struck_and_not_always_its_first_instructio
         own = [struck_from_the_mark(one, fault("octomap", model="none"), seed) for seed in range(8)]
         assert {module for module, _ in own} == {"liboctomap-test.so"}
         assert len({passed_over for _, passed_over in own}) > 4
-        anywhere, _ = struck_from_the_mark(one, FaultSpec(target="octomap", model="none"), 0)
+        anywhere, _ = struck_from_the_mark(one, FaultSpec(target="octomap", scope="thread", model="none"), 0)
         assert anywhere == "libc.so.6"
 
 

@@ -1,0 +1,247 @@
+"""Translation of one basic block of x86-64 code into code elsewhere that does the same and counts itself.
+
+A block begins where the program arrives and ends with the first instruction that may go on elsewhere. Its
+translation leaves registers, flags and stack as the block does, but for the return addresses on the stack:
+they lie in the translation of what follows a call. An exception of C++ finds no way through such a frame.
+
+Sources: Intel SDM volume 2 (encodings); System V ABI, 3.2.2 (the red zone, why nothing is pushed).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
+
+import iced_x86
+from iced_x86 import ConditionCode, FlowControl, Mnemonic, Register, RflagsBits
+
+LONGEST = 64
+"""Instructions after which a block is divided."""
+
+MOST_BYTES = 15 * LONGEST
+"""Bytes of code that a block may need."""
+
+TRAP = b"\xcc"
+"""An instruction that raises SIGTRAP."""
+
+_INCREMENT = b"\x48\xff\x05"  # inc qword [rip+d]
+_STORE_RAX, _LOAD_RAX = b"\x48\x89\x05", b"\x48\x8b\x05"  # mov [rip+d],rax and back
+_LOAD_RAX_FAR = b"\x48\xa1"  # mov rax,[address]
+_RAX_PLUS_ONE = b"\x48\x8d\x40\x01"  # lea rax,[rax+1]
+_STORE_RCX, _LOAD_RCX = b"\x48\x89\x0d", b"\x48\x8b\x0d"
+_RCX_LESS_ONE = b"\x48\x8d\x49\xff"  # lea rcx,[rcx-1]
+_TRAP_AT_ZERO = b"\xe3\x02\xeb\x01" + TRAP  # jrcxz to the trap, jmp over it
+_JUMP, _CALL, _JUMP_IF, _CONDITION = b"\xe9", b"\xe8", 0x0F, 0x80
+_OVER_A_JUMP = 5
+_DISPLACEMENT = struct.Struct("<i")
+_ADDRESS = struct.Struct("<Q")
+
+_CHANGED_BY_INCREMENT = int(RflagsBits.OF | RflagsBits.SF | RflagsBits.ZF | RflagsBits.AF | RflagsBits.PF)
+_CL = int(Register.CL)
+_SHORT_ONLY = frozenset({Mnemonic.LOOP, Mnemonic.LOOPE, Mnemonic.LOOPNE, Mnemonic.JRCXZ, Mnemonic.JECXZ})
+_LEADS_ON = frozenset({FlowControl.NEXT, FlowControl.CALL, FlowControl.INDIRECT_CALL})
+
+
+class TranslationError(Exception):
+    """There is no instruction to translate, or its translation lies too far from what it refers to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Counters:
+    """Addresses of the words in which a block's translation counts; each 0 if it is to be left out.
+
+    ``passes`` counts the passes through the block. At each, ``noted`` gets the present value of ``of``, and
+    ``remaining`` becomes one less: at zero the translation traps, at the block's beginning. ``scratch`` are
+    two words to keep registers in.
+    """
+
+    passes: int
+    scratch: int
+    noted: int = 0
+    of: int = 0
+    remaining: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Exit:
+    """A way out of a translation: a displacement at ``field``, which leads to a ``trap`` until it is set."""
+
+    field: int
+    trap: int
+    target: int
+
+    def leading_to(self, address: int) -> bytes:
+        """What is to be written at ``field``."""
+        return _displacement(address, self.field + _DISPLACEMENT.size)
+
+
+@dataclass(frozen=True, slots=True)
+class Translation:
+    """The translation of the block whose ``instructions`` lie at these addresses; ``size`` are its bytes.
+
+    ``stop`` is what the program counter is at the trap of ``Counters.remaining``. A jump may be written over
+    the block's beginning only if it ``takes_a_jump``: nobody arrives within those five bytes.
+    """
+
+    instructions: tuple[int, ...]
+    size: int
+    code: bytes
+    exits: tuple[Exit, ...]
+    stop: int
+    takes_a_jump: bool
+
+
+def jump(at: int, target: int) -> bytes:
+    """A jump to ``target``, to lie ``at``."""
+    return _JUMP + _displacement(target, at + len(_JUMP) + _DISPLACEMENT.size)
+
+
+def translate(
+    code: bytes, address: int, at: int, counters: Counters, leaders: Container[int] = ()
+) -> Translation:
+    """Translate the block that begins with ``code`` at ``address`` for memory ``at`` another address.
+
+    It ends before each of ``leaders`` at the latest.
+
+    :raises TranslationError: if it begins with no instruction, or lies too far away.
+    """
+    block, offsets = _block(code, address, leaders)
+    out = _Writer(at)
+    out.count(counters, flags_are_free=_flags_are_free(block))
+    for one, offset in zip(block, offsets, strict=True):
+        out.instruction(one, code[one.ip - address :][: one.len], offset, is_last=one is block[-1])
+    exits = out.close()
+    return Translation(
+        tuple(one.ip for one in block),
+        block[-1].next_ip - address,
+        bytes(out.code),
+        exits,
+        out.stop,
+        # Functions begin at multiples of 16 or with a mark for indirect calls.
+        block[-1].next_ip - address >= len(jump(0, 0))
+        and (block[0].len >= len(jump(0, 0)) or address % 16 == 0 or block[0].mnemonic == Mnemonic.ENDBR64),
+    )
+
+
+def _block(
+    code: bytes, address: int, leaders: Container[int]
+) -> tuple[list[iced_x86.Instruction], list[int]]:
+    """A block's instructions, and where in each the displacement of its memory operand is."""
+    decoder = iced_x86.Decoder(64, code, ip=address)
+    block: list[iced_x86.Instruction] = []
+    offsets = []
+    for one in decoder:
+        if one.is_invalid or (block and one.ip in leaders):
+            break
+        block.append(one)
+        offsets.append(decoder.get_constant_offsets(one).displacement_offset)
+        # In a call of the kernel, too: a signal may end it there.
+        if one.flow_control != FlowControl.NEXT or len(block) == LONGEST:
+            break
+    if not block:
+        message = f"no instruction at {address:#x}"
+        raise TranslationError(message)
+    return block, offsets
+
+
+def _flags_are_free(block: Sequence[iced_x86.Instruction]) -> bool:
+    """Whether the block sets all flags that counting would change before it reads one of them.
+
+    Shifts by a register and repeated instructions may leave them as they are.
+    """
+    settled = 0
+    for one in block:
+        if one.rflags_read & _CHANGED_BY_INCREMENT & ~settled:
+            return False
+        by_register = _CL in (int(one.op1_register), int(one.op2_register))
+        if not (one.is_string_instruction or by_register):
+            settled |= one.rflags_modified
+        if settled & _CHANGED_BY_INCREMENT == _CHANGED_BY_INCREMENT:
+            return True
+    return False
+
+
+def _displacement(target: int, after: int) -> bytes:
+    try:
+        return _DISPLACEMENT.pack(target - after)
+    except struct.error as error:
+        message = f"{target:#x} is too far from {after:#x} for a displacement"
+        raise TranslationError(message) from error
+
+
+class _Writer:
+    """Code that is written one instruction after the other, for one address."""
+
+    def __init__(self, at: int) -> None:
+        self.code = bytearray()
+        self.stop = 0
+        self._at = at
+        self._open: list[tuple[int, int]] = []
+
+    def count(self, counters: Counters, *, flags_are_free: bool) -> None:
+        """Count a pass, and do what else is asked for."""
+        if flags_are_free and not counters.noted and not counters.remaining:
+            self._referring(_INCREMENT, counters.passes)
+            return
+        self._referring(_STORE_RAX, counters.scratch)
+        self._referring(_LOAD_RAX, counters.passes)
+        self.code += _RAX_PLUS_ONE
+        self._referring(_STORE_RAX, counters.passes)
+        if counters.noted:
+            self.code += _LOAD_RAX_FAR + _ADDRESS.pack(counters.of)
+            self._referring(_STORE_RAX, counters.noted)
+        self._referring(_LOAD_RAX, counters.scratch)
+        if counters.remaining:
+            kept = counters.scratch + _ADDRESS.size
+            self._referring(_STORE_RCX, kept)
+            self._referring(_LOAD_RCX, counters.remaining)
+            self.code += _RCX_LESS_ONE
+            self._referring(_STORE_RCX, counters.remaining)
+            self.code += _TRAP_AT_ZERO
+            self.stop = self._at + len(self.code)
+            self._referring(_LOAD_RCX, kept)
+
+    def instruction(self, one: iced_x86.Instruction, raw: bytes, offset: int, *, is_last: bool) -> None:
+        """Write one instruction of the block; the last one with the ways out of it."""
+        flow = one.flow_control
+        if flow == FlowControl.CONDITIONAL_BRANCH and one.mnemonic in _SHORT_ONLY:
+            self.code += raw[:-1] + bytes([_OVER_A_JUMP])
+            self._way_out(_JUMP, one.next_ip)
+            self._way_out(_JUMP, one.near_branch_target)
+        elif flow == FlowControl.CONDITIONAL_BRANCH:
+            condition = _CONDITION + one.condition_code - ConditionCode.O
+            self._way_out(bytes([_JUMP_IF, condition]), one.near_branch_target)
+            self._way_out(_JUMP, one.next_ip)
+        elif flow == FlowControl.UNCONDITIONAL_BRANCH and one.near_branch_target:
+            self._way_out(_JUMP, one.near_branch_target)
+        elif flow == FlowControl.CALL and one.near_branch_target:
+            self._way_out(_CALL, one.near_branch_target)
+            self._way_out(_JUMP, one.next_ip)
+        else:
+            if one.is_ip_rel_memory_operand:
+                after = self._at + len(self.code) + one.len
+                moved = _displacement(one.ip_rel_memory_address, after)
+                raw = raw[:offset] + moved + raw[offset + len(moved) :]
+            self.code += raw
+            if is_last and flow in _LEADS_ON:
+                self._way_out(_JUMP, one.next_ip)
+
+    def close(self) -> tuple[Exit, ...]:
+        """Write the traps to which the ways out lead."""
+        exits = []
+        for field, target in self._open:
+            trap = self._at + len(self.code)
+            self.code += TRAP
+            exits.append(Exit(self._at + field, trap, target))
+            self.code[field : field + _DISPLACEMENT.size] = exits[-1].leading_to(trap)
+        return tuple(exits)
+
+    def _way_out(self, opcode: bytes, target: int) -> None:
+        self.code += opcode
+        self._open.append((len(self.code), target))
+        self.code += bytes(_DISPLACEMENT.size)
+
+    def _referring(self, opcode: bytes, to: int) -> None:
+        after = self._at + len(self.code) + len(opcode) + _DISPLACEMENT.size
+        self.code += opcode + _displacement(to, after)

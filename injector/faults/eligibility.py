@@ -1,0 +1,41 @@
+"""What a fault may strike: operands of an instruction that are of the kind it asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from injector.isa.instruction import Candidate, Instruction, MemoryAccess
+from services.models.fault_model import groups
+from services.models.mission import FaultSpec
+
+Bits = list[Sequence[int]]
+"""The sets of bits of which one is drawn, see :func:`services.models.fault_model.groups`."""
+
+
+def eligible_registers(fault: FaultSpec, instruction: Instruction) -> list[tuple[Candidate, Bits]]:
+    """The registers of an instruction that the fault may change, each with the bits to draw from."""
+    return [
+        (one, among)
+        for one in instruction.eligible(fault.operand, fault.register_class)
+        if (among := groups(fault, one.width_bits, one.element_bits, one.accessed))
+    ]
+
+
+def eligible_memory(fault: FaultSpec, instruction: Instruction) -> list[tuple[MemoryAccess, Bits]]:
+    """The memory of an instruction that the fault may change, each word with the bits to draw from."""
+    return [
+        (one, among)
+        for one in instruction.memory
+        if fault.operand in ("any", one.role) and (among := groups(fault, one.width_bits, one.element_bits))
+    ]
+
+
+def is_eligible(fault: FaultSpec, instruction: Instruction) -> bool:
+    """Whether the fault can strike an instruction, by what it reads and writes. No system call can be."""
+    if not instruction.steppable:
+        return False
+    if fault.model == "opcode":
+        return True
+    if fault.model == "memory":
+        return bool(eligible_memory(fault, instruction))
+    return bool(eligible_registers(fault, instruction))
