@@ -21,7 +21,7 @@ from dashboard.campaigns.spec import load_campaign
 from dashboard.campaigns.store.database import StoreError
 from dashboard.commands.announce import announce
 from dashboard.commands.bench import bench
-from dashboard.commands.campaign import as_picture, campaign, in_store
+from dashboard.commands.campaign import as_picture, campaign
 from dashboard.commands.inject import inject
 from dashboard.commands.kernels import kernels
 from dashboard.commands.recordings import propagation, view
@@ -33,7 +33,14 @@ from dashboard.commands.stack import down, logs, ps, restart, stop, up
 from dashboard.commands.train import train
 from dashboard.commands.world import world
 from dashboard.terminal.campaign_progress import run_new
-from dashboard.terminal.options import DETECTOR_FORM, FAULT_FORM, as_json, detector_fields, parse_fault
+from dashboard.terminal.options import (
+    DETECTOR_FORM,
+    FAULT_FORM,
+    as_json,
+    detector_fields,
+    in_store,
+    parse_fault,
+)
 from deploy.compose.folder import StackError
 from deploy.config.check import BadSpecError, check, one_line
 from deploy.config.definitions import inlined

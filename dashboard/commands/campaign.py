@@ -22,20 +22,13 @@ from dashboard.campaigns.results.compare import side_by_side
 from dashboard.campaigns.results.summary import summary
 from dashboard.campaigns.spec import load_campaign
 from dashboard.campaigns.store.listing import files, line
-from dashboard.campaigns.store.queries import Campaign, default_folder
+from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.store import Store
 from dashboard.terminal.campaign_progress import fly, messages, run_new, tell
-from dashboard.terminal.options import as_json
+from dashboard.terminal.options import as_json, in_store
 from deploy.config.check import BadSpecError
 
 Command = Callable[..., Any]
-in_store = click.option(
-    "--store",
-    metavar="FOLDER|URL",
-    default=lambda: str(default_folder()),
-    show_default="$ZENFI_HOME, or ~/.local/share/zenfi",
-    help="Where the campaigns are: a folder, or postgresql://USER@HOST/DATABASE.",
-)
 in_slots = click.option(
     "--slots", type=click.IntRange(1, 256), help="Flights at a time (default: one per processor)."
 )

@@ -12,8 +12,7 @@ from dashboard.analysis import tables
 from dashboard.analysis.propagation import edges, picture, to_dot, with_flown_twin
 from dashboard.analysis.recordings_reader import FlightRecording, open_run
 from dashboard.campaigns.store.store import Store
-from dashboard.commands.campaign import in_store
-from dashboard.terminal.options import as_json
+from dashboard.terminal.options import as_json, in_store
 from dashboard.viewers.viewer import VIEWERS, choose
 from deploy.config.check import BadSpecError
 

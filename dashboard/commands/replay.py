@@ -1,108 +1,89 @@
-"""``zenfi replay``: does an injected flight repeat?"""
+"""``zenfi replay``: do injected flights repeat?"""
 
 from __future__ import annotations
 
-import json
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import click
-from pydantic import ValidationError
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
 
-from dashboard.terminal.options import as_json
-from deploy.config.check import BadSpecError, check, one_line
+from dashboard.campaigns.store.store import Store
+from dashboard.terminal.injected_flights import of_campaign, of_file
+from dashboard.terminal.options import as_json, in_store
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.replay import refusal
 from deploy.mission.replay import replay as fly_again
 from services.models.outcome import Outcome
 
-_NOT_OURS = "not what zenfi fly, campaign run or campaign resume writes with --json"
+ANSWERS = ("replayed", "diverged", "not_reached")
 
 
 @click.command()
-@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("source", metavar="FILE|LABEL[/ID]")
+@in_store
 @as_json
-def replay(file: Path, as_json: bool) -> None:
-    """Fly the injected flights in FILE again, as `fly`, `campaign run` or `campaign resume` wrote them.
+def replay(source: str, store: str, as_json: bool) -> None:
+    """Fly injected flights again and compare: those of a file, of a campaign LABEL, or its run ID.
 
-    FILE has a JSON object a line (--json). Lines without an injected flight are passed over and counted.
+    A file has what `fly`, `campaign run` or `campaign resume` wrote with --json, or what the service tells of
+    runs. Lines and runs without an injected flight are passed over and counted.
 
     Answers replayed, diverged or not_reached for each; exit status 0 if all were replayed, else 1.
     """
-    outcomes, passed_over = read_outcomes(file)
+    if Path(source).is_file():
+        outcomes, passed_over = of_file(Path(source))
+    else:
+        with closing(Store(store)) as opened:
+            outcomes, passed_over = of_campaign(opened, source)
     if passed_over:
         kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(passed_over.items()))
-        click.echo(f"lines passed over: {passed_over.total()} ({kinds})", err=True)
-    server = ForkServer()
-    try:
-        answers = []
-        for outcome in outcomes:
-            answers.append(fly_again(outcome, server))
-            if as_json:
-                click.echo(answers[-1].model_dump_json())
-            else:
-                click.echo(": ".join([answers[-1].answer, "; ".join(answers[-1].differences)]).rstrip(": "))
-    finally:
-        server.close()
-    if any(one.answer != "replayed" for one in answers):
+        click.echo(f"passed over: {passed_over.total()} ({kinds})", err=True)
+    found = _flown_again(outcomes, as_json)
+    if not as_json:
+        Console().print(_table(found))
+    if any(set(answers) - {"replayed"} for answers in found.values()):
         sys.exit(1)
 
 
-def read_outcomes(file: Path) -> tuple[list[Outcome], Counter[str]]:
-    """The flights that can be replayed, and how many lines of each other kind there are.
-
-    :raises BadSpecError: if there is no such flight, or a line is none of ours.
-    """
-    outcomes: list[Outcome] = []
-    passed_over: Counter[str] = Counter()
-    for number, line in enumerate(file.read_bytes().split(b"\n"), start=1):
-        if not line.strip():
-            continue
-        try:
-            found = _read(line)
-        except BadSpecError as error:
-            message = f"{file}, line {number}: {error}"
-            raise BadSpecError(message) from error
-        if isinstance(found, Outcome):
-            outcomes.append(found)
-        else:
-            passed_over[found] += 1
-    able = [one for one in outcomes if not refusal(one)]
-    if not able:
-        message = f"{file}: {refusal(outcomes[0]) if outcomes else 'no flight with a fault to replay'}"
-        raise BadSpecError(message)
-    if len(able) < len(outcomes):
-        passed_over["not repeatable"] = len(outcomes) - len(able)
-    return able, passed_over
+def _flown_again(outcomes: Sequence[Outcome], as_json: bool) -> dict[str, Counter[str]]:
+    """Each flight again, told as it ends; how often which answer was given, by what is struck."""
+    found: dict[str, Counter[str]] = defaultdict(Counter)
+    console = Console(stderr=True)
+    shown = Progress(console=console, transient=True, disable=not console.is_terminal)
+    with closing(ForkServer()) as server, shown as progress:
+        task = progress.add_task("flying again", total=len(outcomes))
+        for outcome in outcomes:
+            answer = fly_again(outcome, server)
+            fault = outcome.spec.fault
+            assert fault is not None  # noqa: S101 - only such flights were read
+            found[fault.target][answer.answer] += 1
+            if as_json:
+                click.echo(answer.model_dump_json())
+            elif answer.answer != "replayed":
+                click.echo(f"{_name(outcome)}: {answer.answer}: {'; '.join(answer.differences)}")
+            progress.advance(task)
+    return found
 
 
-def _read(line: bytes) -> Outcome | str:
-    """The outcome of a flight with a fault, or what else of ours the line is.
+def _name(outcome: Outcome) -> str:
+    fault = outcome.spec.fault
+    assert fault is not None  # noqa: S101 - only such flights were read
+    return f"{fault.target}, seed {outcome.spec.seed}, fault seed {fault.seed}"
 
-    :raises BadSpecError: if it is none of ours.
-    """
-    try:
-        told = json.loads(line)
-    except (ValueError, RecursionError) as error:
-        raise BadSpecError("not a whole line of JSON") from error
-    if not isinstance(told, dict):
-        raise BadSpecError(_NOT_OURS)
-    if "campaign" in told:
-        for key, kind in (("forecast", "forecast"), ("summary", "summary"), ("error", "not flown")):
-            if key in told:
-                return kind
-    flight = told.get("outcome", told)
-    if flight is None:  # the service's account of a run that waits
-        return "not flown"
-    if flight is told and "spec" not in told:
-        raise BadSpecError(_NOT_OURS)
-    try:
-        outcome = Outcome.model_validate(flight)
-    except ValidationError as error:
-        message = f"no outcome of a flight: {one_line(error)}"
-        raise BadSpecError(message) from error
-    if outcome.spec.fault is None:
-        return "golden"
-    check(outcome.spec)
-    return outcome
+
+def _table(found: Mapping[str, Counter[str]]) -> Table:
+    table = Table(box=SIMPLE, show_footer=len(found) > 1)
+    total = sum(found.values(), Counter[str]())
+    table.add_column("struck", footer="all")
+    table.add_column("flights", footer=str(total.total()), justify="right")
+    for answer in ANSWERS:
+        table.add_column(answer.replace("_", " "), footer=str(total[answer]), justify="right")
+    for target, answers in sorted(found.items()):
+        table.add_row(target, str(answers.total()), *(str(answers[answer]) for answer in ANSWERS))
+    return table

@@ -11,7 +11,8 @@ from types import FrameType
 import click
 
 from dashboard.campaigns.store.store import Store
-from dashboard.commands.campaign import in_slots, in_store
+from dashboard.commands.campaign import in_slots
+from dashboard.terminal.options import in_store
 
 
 @click.command()

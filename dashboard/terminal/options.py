@@ -1,13 +1,22 @@
-"""Options that several commands have: JSON output, and faults and detectors as people write them."""
+"""Options that several commands have: output, the store, faults and detectors as people write them."""
 
 from __future__ import annotations
 
 import click
 
+from dashboard.campaigns.store.queries import default_folder
 from deploy.config.check import BadSpecError
 from services.models.mission import FaultSpec
 
 as_json = click.option("--json", "as_json", is_flag=True, help="One JSON object per line on standard output.")
+
+in_store = click.option(
+    "--store",
+    metavar="FOLDER|URL",
+    default=lambda: str(default_folder()),
+    show_default="$ZENFI_HOME, or ~/.local/share/zenfi",
+    help="Where the campaigns are: a folder, or postgresql://USER@HOST/DATABASE.",
+)
 
 FAULT_FORM = "LEVEL:KERNEL[,NAME=VALUE...]"
 _LISTS = ("bit_numbers",)

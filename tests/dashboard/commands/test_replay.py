@@ -49,7 +49,27 @@ def test_what_campaign_run_printed_is_replayed_and_other_lines_are_counted(
     assert "summary" in told[-1]
     (tmp_path / "runs.jsonl").write_text(flown[1])
     answer = replayed(tmp_path / "runs.jsonl")
-    assert answer.stderr == "lines passed over: 3 (1 forecast, 1 golden, 1 summary)\n"
+    assert answer.stderr == "passed over: 3 (1 forecast, 1 golden, 1 summary)\n"
+
+
+def test_a_campaign_of_the_store_is_replayed_by_its_label(flown: tuple[Path, str]) -> None:
+    answer = zenfi("replay", "small-1", "--store", flown[0])
+    assert (answer.returncode, answer.stderr) == (0, "passed over: 1 (1 golden)\n")
+    (row,) = [line.split() for line in answer.stdout.splitlines() if line.split()[:1] == ["pid"]]
+    assert row == ["pid", "1", "1", "0", "0"]
+
+
+def test_one_run_of_a_campaign_is_replayed(flown: tuple[Path, str]) -> None:
+    told = [json.loads(line) for line in flown[1].splitlines()]
+    with closing(Store(flown[0])) as store:
+        ids = {one.arm: one.id for one in run_page(store, store.find("1"), RunQuery()).runs}
+    assert "small-1" in {one["campaign"] for one in told}
+    answer = zenfi("replay", f"small-1/{ids['pid']}", "--store", flown[0], "--json")
+    assert [json.loads(line)["answer"] for line in answer.stdout.splitlines()] == ["replayed"], answer.stderr
+    says = refusal("replay", f"small-1/{ids['golden']}", "--store", flown[0])
+    assert says.endswith("no flight with a fault to replay")
+    assert "no run '77'" in refusal("replay", "small-1/77", "--store", flown[0])
+    assert "no campaign 'large-1'" in refusal("replay", "large-1", "--store", flown[0])
 
 
 @pytest.mark.soak

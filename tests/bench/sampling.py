@@ -1,0 +1,148 @@
+"""Chi-square of drawn instructions against calls that are stepped through: `python -m tests.bench.sampling`.
+
+Each kernel stands at the beginning of its call on its recorded sample. One copy takes the call in single
+steps, another one counts it; instructions are drawn by the counts, for each way to narrow a fault. Where in
+the stepped call the drawn ones lie is compared with where the eligible ones lie: in 50 parts of equal length.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chisquare
+
+from injector.block_profile.counted_call import CountedCall
+from injector.block_profile.instruction_counts import InstructionCounts, draw_instruction
+from injector.faults.code_scope import countable_code
+from injector.faults.eligibility import is_eligible
+from injector.isa.host import decode
+from injector.isa.instruction import DecodeError
+from injector.kernel_study.remote_fork import RemoteForks
+from injector.kernel_study.subject import MARK, Subject
+from injector.tracing.process import Process, ProcessIdentity
+from injector.tracing.ptrace import wait_until
+from injector.tracing.tracee import Tracee
+from injector.tracing.tracees import TraceeGroup
+from services.kernels import KERNELS
+from services.models.mission import FaultSpec
+from services.runtime import rng
+
+DRAWS, PARTS = 2000, 50
+MOST_STEPS = 30_000_000
+SHORT = ("pid", "trajectory", "point_cloud", "collision_check", "rrt", "rrt_connect")
+"""Kernels whose calls are stepped through within a minute."""
+
+NARROWED: dict[str, dict[str, str]] = {
+    "all": {},
+    **{f"class {name}": {"register_class": name} for name in ("gpr", "vector", "flags", "mask")},
+    **{f"field {name}": {"field": name} for name in ("sign", "exponent", "mantissa")},
+    **{f"operand {name}": {"operand": name} for name in ("source", "destination")},
+    "memory": {"model": "memory"},
+    "thread": {"scope": "thread"},
+}
+
+
+@contextmanager
+def standing(kernel: str) -> Iterator[tuple[TraceeGroup, RemoteForks, Tracee]]:
+    """A process at the beginning of the kernel's call; gone afterwards."""
+    importlib.import_module(KERNELS[kernel].samples_module)
+    pid, go = Subject(KERNELS[kernel]).fork()
+    with TraceeGroup(MARK, forks=True, ours=True) as tracees:
+        tracees.seize([pid])
+        os.write(go, b"x")
+
+        def there() -> bool | None:
+            tracees.service()
+            return True if tracees.threads[pid].report is not None else None
+
+        assert wait_until(there, 20.0)
+        forks = RemoteForks(tracees)
+        yield tracees, forks, tracees.threads[pid]
+        for one in list(tracees.threads.values()):
+            forks.end(one)
+
+
+def stepped(tracees: TraceeGroup, forks: RemoteForks, root: Tracee) -> NDArray[np.uint64]:
+    """Where the call's instructions lie, in single steps; a repeated one counts once."""
+    copy = forks.copy(root)
+    trace = tracees.trace(copy, MOST_STEPS)
+    assert copy.report is not None
+    assert copy.report.kind == "gate", "the call is too long"
+    forks.end(copy)
+    return np.array([address for address, _ in groupby(trace[:-1])], np.uint64)
+
+
+def counted(
+    forks: RemoteForks, root: Tracee, fault: FaultSpec
+) -> tuple[InstructionCounts, Callable[[int], bool]]:
+    """The counts of a copy of the call, and which of its instructions the fault can strike."""
+    copy = forks.copy(root)
+    with Process(ProcessIdentity.of(copy.pid)) as process:
+        call = CountedCall(copy, process, countable_code(fault, process))
+        counts = InstructionCounts.of(call.run(MARK))
+    forks.end(copy)
+    known: dict[int, bool] = {}
+
+    def eligible(address: int) -> bool:
+        if address not in known:
+            try:
+                known[address] = is_eligible(fault, decode(call.code_at(address), address))
+            except DecodeError:
+                known[address] = False
+        return known[address]
+
+    return counts, eligible
+
+
+def compared(
+    trace: NDArray[np.uint64], counts: InstructionCounts, eligible: Callable[[int], bool], seed: int
+) -> tuple[int, float]:
+    """How many of the call's instructions are eligible, and the chi-square test's p of the draws."""
+    among = {int(one) for one in counts.addresses if eligible(int(one))}
+    places = np.flatnonzero(np.isin(trace, np.array(sorted(among), np.uint64)))
+    if not len(places):
+        return 0, 1.0
+    passes: dict[int, list[int]] = defaultdict(list)
+    for number, address in enumerate(trace[places].tolist()):
+        passes[address].append(number)
+    draw = rng.generator(seed, "sampling")
+    parts = min(PARTS, len(places))
+    drawn = np.zeros(parts)
+    for _ in range(DRAWS):
+        found = draw_instruction(counts, eligible, draw)
+        assert found is not None
+        assert len(passes[found.address]) == found.passes
+        drawn[passes[found.address][found.hit - 1] * parts // len(places)] += 1
+    expected = np.bincount(np.arange(len(places)) * parts // len(places)) / len(places) * DRAWS
+    return len(places), float(chisquare(drawn, expected).pvalue)
+
+
+def study(kernel: str, seed: int) -> dict[str, tuple[int, float]]:
+    """Of each way to narrow a fault: eligible instructions and p."""
+    found = {}
+    with standing(kernel) as (tracees, forks, root):
+        trace = stepped(tracees, forks, root)
+        found["stepped"] = (len(trace), 1.0)
+        for name, fields in NARROWED.items():
+            fault = FaultSpec.model_validate({"target": kernel, **fields})
+            found[name] = compared(trace, *counted(forks, root, fault), seed)
+    return found
+
+
+def main() -> None:
+    """Print a line a kernel and way."""
+    for kernel in sys.argv[1:] or SHORT:
+        for name, (eligible, p) in study(kernel, 1).items():
+            print(f"{kernel:16} {name:20} {eligible:10,} {p:8.3f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
