@@ -44,7 +44,7 @@ class UncountableError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Passed:
+class CountedBlock:
     """A block that was passed so often: its ``instructions``, and at its last pass ``noted``."""
 
     instructions: tuple[int, ...]
@@ -109,7 +109,7 @@ class CountedCall:
         index = bisect_right(self._starts, address) - 1
         return index >= 0 and address < self._ranges[index][1]
 
-    def run(self, mark: int) -> list[Passed]:
+    def run(self, mark: int) -> list[CountedBlock]:
         """Run to the signal ``mark``, or to the stop; what was passed.
 
         :raises UncountableError: if neither comes.
@@ -197,8 +197,8 @@ class CountedCall:
     def _memory_of(self, address: int) -> TranslationMemory:
         return self._memories[bisect_right(self._memories, address, key=lambda one: one.start) - 1]
 
-    def _passed(self, block: Translation, counters: Counters) -> Passed:
-        return Passed(block.instructions, self._word(counters.passes), self._word(counters.noted))
+    def _passed(self, block: Translation, counters: Counters) -> CountedBlock:
+        return CountedBlock(block.instructions, self._word(counters.passes), self._word(counters.noted))
 
     def _word(self, address: int) -> int:
         (value,) = _WORD.unpack(self._process.read_memory(address, _WORD.size)) if address else (0,)

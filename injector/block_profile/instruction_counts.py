@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from injector.block_profile.counted_call import Passed
+from injector.block_profile.counted_call import CountedBlock
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class InstructionCounts:
     leaders: frozenset[int]
 
     @classmethod
-    def of(cls, blocks: Iterable[Passed]) -> InstructionCounts:
+    def of(cls, blocks: Iterable[CountedBlock]) -> InstructionCounts:
         """Sum up what blocks were passed; an instruction may lie in several. In the order of addresses."""
         passes: dict[int, int] = {}
         leaders = set()
@@ -82,7 +82,7 @@ class Way:
     rest: int
 
 
-def shortest_way(blocks: Sequence[Passed], target: DynamicInstruction) -> Way | None:
+def shortest_way(blocks: Sequence[CountedBlock], target: DynamicInstruction) -> Way | None:
     """The way with the fewest passes to count; None if none is shorter than to count all of the target's.
 
     ``blocks`` are of a copy that stands before the target and noted its passes.

@@ -89,7 +89,7 @@ def map_memory(tid: int, process: Process, code: Sequence[tuple[int, int]]) -> l
 
 
 def _clusters(code: Sequence[tuple[int, int]]) -> Iterator[int]:
-    """Where each cluster begins."""
+    """Where each cluster of code begins: what lies within a displacement of one piece of memory."""
     begin = -_SPAN
     for start, end in code:
         if end - begin > _SPAN:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare
 
-from injector.block_profile.counted_call import Passed
+from injector.block_profile.counted_call import CountedBlock
 from injector.block_profile.instruction_counts import (
     DynamicInstruction,
     InstructionCounts,
@@ -17,7 +17,12 @@ from injector.block_profile.instruction_counts import (
 
 pytestmark = pytest.mark.unit
 
-BLOCKS = [Passed((16, 18, 24), 7, 0), Passed((40, 44), 3, 0), Passed((18, 24), 5, 0), Passed((60,), 0, 0)]
+BLOCKS = [
+    CountedBlock((16, 18, 24), 7, 0),
+    CountedBlock((40, 44), 3, 0),
+    CountedBlock((18, 24), 5, 0),
+    CountedBlock((60,), 0, 0),
+]
 PASSES = {16: 7, 18: 12, 24: 12, 40: 3, 44: 3}
 
 
@@ -49,8 +54,8 @@ def test_of_nothing_eligible_nothing_is_drawn() -> None:
 
 def test_the_shortest_way_has_the_fewest_passes_in_all() -> None:
     target = DynamicInstruction(address=16, hit=900, passes=1000)
-    late, rare, never = Passed((40,), 50, 890), Passed((60,), 2, 600), Passed((70,), 0, 0)
-    assert shortest_way([Passed((16,), 900, 899), late, rare, never], target) == Way(40, 50, 10)
+    late, rare, never = CountedBlock((40,), 50, 890), CountedBlock((60,), 2, 600), CountedBlock((70,), 0, 0)
+    assert shortest_way([CountedBlock((16,), 900, 899), late, rare, never], target) == Way(40, 50, 10)
     assert shortest_way([rare], target) == Way(60, 2, 300)
-    assert shortest_way([Passed((40,), 880, 870)], target) is None
+    assert shortest_way([CountedBlock((40,), 880, 870)], target) is None
     assert shortest_way([], target) is None
