@@ -20,7 +20,6 @@ failed      could not be started, or ended once more than its policy tries again
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -43,6 +42,7 @@ from deploy.compose.events import (
     Want,
 )
 from deploy.compose.stack_file import ProcessSpec
+from services.system.signal_names import signal_name
 
 Phase = Literal["pending", "starting", "ready", "backing_off", "stopping", "stopped", "exited", "failed"]
 
@@ -77,10 +77,7 @@ def status_text(status: int) -> str:
     """An exit status in words: a code, or the name of a signal."""
     if status >= 0:
         return f"exit status {status}"
-    try:
-        return signal.Signals(-status).name
-    except ValueError:
-        return f"signal {-status}"
+    return signal_name(-status)
 
 
 class StackStates:

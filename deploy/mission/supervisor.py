@@ -24,6 +24,7 @@ from services.models.outcome import KernelUse, NodeReport, NodeResult
 from services.runtime.setup import NodeSetup
 from services.system.process_stat import main_thread_stat
 from services.system.shared_stats import SharedStats
+from services.system.signal_names import signal_name
 
 STOP_S = 5.0
 """Longest wait for what was killed to be gone."""
@@ -157,7 +158,7 @@ class Supervisor:
         elif status == EXIT_NONSENSE:
             member.causes.append("nonsense")
         else:
-            member.causes.append(signal.Signals(-status).name if status < 0 else f"exit status {status}")
+            member.causes.append(signal_name(-status) if status < 0 else f"exit status {status}")
 
     def kill_hung(self) -> None:
         """Kill the nodes whose present step has used more thread time than a hang is granted.
@@ -218,7 +219,7 @@ class Supervisor:
 def _ended_from_outside(member: SupervisedNode, exited: Exited) -> str:
     if exited.status == EXIT_REAPER:
         return f"the proxy of {member.process.name} was killed from outside"
-    return f"{member.process.name} was ended from outside ({signal.Signals(-exited.status).name})"
+    return f"{member.process.name} was ended from outside ({signal_name(-exited.status)})"
 
 
 def is_stopped(pid: int) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import time
 from dataclasses import asdict
 from typing import Literal
@@ -23,6 +22,7 @@ from injector.tracing.ptrace import NotPermittedError, wait_until
 from services.models.base import Strict
 from services.models.mission import FaultSpec
 from services.models.outcome import InjectionRecord
+from services.system.signal_names import signal_name
 
 ENDED = "the process ended before the fault"
 
@@ -208,5 +208,5 @@ def _watch(tracees: UntrappedTracees, process: Process, watch_s: float) -> After
         return Aftermath(result="lives" if process.alive else "ended", **watched)
     after = {"after_s": round(time.monotonic() - begin, 4)}
     if end.signal:
-        return Aftermath(result="killed", signal=signal.Signals(end.signal).name, **after, **watched)
+        return Aftermath(result="killed", signal=signal_name(end.signal), **after, **watched)
     return Aftermath(result="exited", exit_status=end.exit_status, **after, **watched)

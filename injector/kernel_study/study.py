@@ -37,6 +37,7 @@ from services.models.base import Strict
 from services.models.mission import FaultSpec, Site, Trigger
 from services.models.outcome import InjectionRecord
 from services.runtime import rng
+from services.system.signal_names import signal_name
 
 StudyResult = Literal["benign", "sdc", "crash", "hang", "not_injected"]
 
@@ -246,7 +247,7 @@ class SubjectInjector:
         if end is None:
             return "hang", ""
         if end.signal:
-            return "crash", signal.Signals(end.signal).name
+            return "crash", signal_name(end.signal)
         what = self._subject.made().what
         if end.exit_status or what == "nothing":
             return "crash", "exception" if end.exit_status else "it ended early"

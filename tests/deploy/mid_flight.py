@@ -1,7 +1,6 @@
 """Do something to a flight while it flies: in its middle by virtual time, however fast the machine is."""
 
 import os
-import signal
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -78,7 +77,7 @@ def jump_to_nowhere(pid: int) -> None:
         ptrace.detach(pid)
 
 
-def fly_and_kill(server: ForkServer, spec: MissionSpec, name: str, number: signal.Signals) -> FlownMission:
+def fly_and_kill(server: ForkServer, spec: MissionSpec, name: str, number: int) -> FlownMission:
     """Fly and have a process that is named so be sent a signal on the way.
 
     :raises Exception: what the flight failed with.
