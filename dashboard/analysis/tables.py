@@ -180,6 +180,13 @@ def files(counts: Mapping[str, Mapping[str, int]]) -> str:
     return f"files of runs: {', '.join(told)}"
 
 
+def replays(counts: Mapping[str, int]) -> str:
+    """How many injected flights were flown again, and how many were the same."""
+    told = f"{sum(counts.values())} flown again, {counts.get('replayed', 0)} replayed"
+    others = (f"{count} {answer.replace('_', ' ')}" for answer, count in sorted(counts.items()))
+    return ", ".join([told, *(one for one in others if not one.endswith(" replayed"))])
+
+
 def presets(plans: Sequence[tuple[CampaignPreset, Forecast]]) -> Table:
     """The campaigns that come along; fits a terminal of 80 columns."""
     table = Table(box=None, padding=(0, 1, 0, 0))

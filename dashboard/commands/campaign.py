@@ -155,6 +155,8 @@ def show(label: str, store: str, as_json: bool, svg: Path | None) -> None:
             messages.print(f"{found.label}: {told['phase']}{reason}, {told['done']} of {told['runs']} flown")
             if told["files"]:
                 messages.print(tables.files(told["files"]))
+            if told["replays"]:
+                messages.print(tables.replays(told["replays"]))
         tell(found, told["phase"], summary(opened, found), as_json, svg)
 
 
@@ -233,4 +235,5 @@ def compare_(label: str, other: str | None, against: str | None, store: str, as_
 
 def _line(store: Store, one: Campaign) -> dict[str, Any]:
     kept = {fate: count.model_dump() for fate, count in files(store, one).items()}
-    return {**line(store, one).model_dump(), "files": kept}
+    replays = store.replay_counts(one)
+    return {**line(store, one).model_dump(), "files": kept, "replays": replays}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import click
@@ -36,30 +36,36 @@ def replay(source: str, store: str, as_json: bool) -> None:
 
     Answers replayed, diverged or not_reached for each; exit status 0 if all were replayed, else 1.
     """
-    if Path(source).is_file():
-        outcomes, passed_over = of_file(Path(source))
-    else:
-        with closing(Store(store)) as opened:
+    with ExitStack() as held:
+        keep: Callable[[int, str], object] = lambda _number, _answer: None  # noqa: E731
+        if Path(source).is_file():
+            outcomes, passed_over = of_file(Path(source))
+        else:
+            opened = held.enter_context(closing(Store(store)))
             outcomes, passed_over = of_campaign(opened, source)
-    if passed_over:
-        kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(passed_over.items()))
-        click.echo(f"passed over: {passed_over.total()} ({kinds})", err=True)
-    found = _flown_again(outcomes, as_json)
+            keep = opened.note_replay
+        if passed_over:
+            kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(passed_over.items()))
+            click.echo(f"passed over: {passed_over.total()} ({kinds})", err=True)
+        found = _flown_again(outcomes, keep, as_json)
     if not as_json:
         Console().print(_table(found))
     if any(set(answers) - {"replayed"} for answers in found.values()):
         sys.exit(1)
 
 
-def _flown_again(outcomes: Sequence[Outcome], as_json: bool) -> dict[str, Counter[str]]:
-    """Each flight again, told as it ends; how often which answer was given, by what is struck."""
+def _flown_again(
+    outcomes: Mapping[int, Outcome], keep: Callable[[int, str], object], as_json: bool
+) -> dict[str, Counter[str]]:
+    """Each flight again, told and kept as it ends; how often which answer was given, by what is struck."""
     found: dict[str, Counter[str]] = defaultdict(Counter)
     console = Console(stderr=True)
     shown = Progress(console=console, transient=True, disable=not console.is_terminal)
     with closing(ForkServer()) as server, shown as progress:
         task = progress.add_task("flying again", total=len(outcomes))
-        for outcome in outcomes:
+        for number, outcome in outcomes.items():
             answer = fly_again(outcome, server)
+            keep(number, answer.answer)
             fault = outcome.spec.fault
             assert fault is not None  # noqa: S101 - only such flights were read
             found[fault.target][answer.answer] += 1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -17,8 +18,8 @@ from services.models.outcome import Outcome
 _NOT_OURS = "not what zenfi fly, campaign run or campaign resume writes with --json"
 
 
-def of_campaign(store: Store, name: str) -> tuple[list[Outcome], Counter[str]]:
-    """The flights of a campaign (LABEL) or of one of its runs (LABEL/ID) that can be replayed.
+def of_campaign(store: Store, name: str) -> tuple[dict[int, Outcome], Counter[str]]:
+    """The flights of a campaign (LABEL) or of one of its runs (LABEL/ID) that can be replayed, by run.
 
     And how many runs of each other kind there are.
 
@@ -32,40 +33,41 @@ def of_campaign(store: Store, name: str) -> tuple[list[Outcome], Counter[str]]:
         if not numbers:
             message = f"campaign {campaign.label} has no run {run!r}"
             raise BadSpecError(message)
-    found: list[Outcome | str] = []
+    found: dict[int, Outcome | str] = {}
     for number in numbers:
         stored = stored_run(store, campaign, number)
         outcome = stored.outcome if stored is not None else None
         if outcome is None:
-            found.append("not flown")
+            found[number] = "not flown"
         else:
-            found.append(outcome if outcome.spec.fault is not None else "golden")
+            found[number] = outcome if outcome.spec.fault is not None else "golden"
     return _able(name, found)
 
 
-def of_file(file: Path) -> tuple[list[Outcome], Counter[str]]:
-    """The flights that can be replayed, and how many lines of each other kind there are.
+def of_file(file: Path) -> tuple[dict[int, Outcome], Counter[str]]:
+    """The flights that can be replayed, by line, and how many lines of each other kind there are.
 
     :raises BadSpecError: if there is no such flight, or a line is none of ours.
     """
-    found: list[Outcome | str] = []
+    found: dict[int, Outcome | str] = {}
     for number, line in enumerate(file.read_bytes().split(b"\n"), start=1):
         if not line.strip():
             continue
         try:
-            found.append(_read(line))
+            found[number] = _read(line)
         except BadSpecError as error:
             message = f"{file}, line {number}: {error}"
             raise BadSpecError(message) from error
     return _able(str(file), found)
 
 
-def _able(source: str, found: list[Outcome | str]) -> tuple[list[Outcome], Counter[str]]:
-    outcomes = [one for one in found if isinstance(one, Outcome)]
-    passed_over = Counter(one for one in found if isinstance(one, str))
-    able = [one for one in outcomes if not refusal(one)]
+def _able(source: str, found: Mapping[int, Outcome | str]) -> tuple[dict[int, Outcome], Counter[str]]:
+    outcomes = {number: one for number, one in found.items() if isinstance(one, Outcome)}
+    passed_over = Counter(one for one in found.values() if isinstance(one, str))
+    able = {number: one for number, one in outcomes.items() if not refusal(one)}
     if not able:
-        message = f"{source}: {refusal(outcomes[0]) if outcomes else 'no flight with a fault to replay'}"
+        reasons = [refusal(one) for one in outcomes.values()]
+        message = f"{source}: {reasons[0] if reasons else 'no flight with a fault to replay'}"
         raise BadSpecError(message)
     if len(able) < len(outcomes):
         passed_over["not repeatable"] = len(outcomes) - len(able)

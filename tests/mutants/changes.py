@@ -503,4 +503,69 @@ MUTANTS: list[Mutant] = [
         ),
         ("statistics: quantiles biased inwards", 'method="weibull"', 'method="linear"'),
     ),
+    *_of(
+        "injector/block_profile/x86_64_translator.py",
+        "tests/injector/block_profile/test_x86_64_translator.py",
+        (
+            "sampling: counting changes flags that are read",
+            "if one.rflags_read & _CHANGED_BY_INCREMENT & ~settled:",
+            "if False:",
+        ),
+        (
+            "sampling: a shift by a register always sets flags",
+            "if not (one.is_string_instruction or by_register):",
+            "if not one.is_string_instruction:",
+        ),
+        ("sampling: blocks overlap", "or (block and one.ip in leaders)", ""),
+        (
+            "sampling: data beside the code lies elsewhere",
+            "if one.is_ip_rel_memory_operand:",
+            "if False:",
+        ),
+        (
+            "sampling: a jump over where somebody arrives",
+            "or address % 16 == 0 or",
+            "or address % 8 == 0 or",
+        ),
+    ),
+    *_of(
+        "injector/block_profile/instruction_counts.py",
+        "tests/injector/block_profile/test_instruction_counts.py",
+        (
+            "sampling: only the last block's passes",
+            "passes[address] = passes.get(address, 0) + block.passes",
+            "passes[address] = block.passes",
+        ),
+        (
+            "sampling: addresses alike, not passes",
+            "passes = counts.passes.copy()",
+            "passes = counts.passes * 0 + 1",
+        ),
+        (
+            "sampling: the first pass is never drawn",
+            "1 + int(draw.integers(often))",
+            "2 + int(draw.integers(often))",
+        ),
+        ("sampling: a way one pass short", "target.hit - one.noted)", "target.hit - one.noted - 1)"),
+        (
+            "sampling: a long way is taken",
+            "best.hit + best.rest < target.hit else None",
+            "best.hit + best.rest > 0 else None",
+        ),
+    ),
+    *_of(
+        "injector/faults/eligibility.py",
+        "tests/injector/faults/test_eligibility.py",
+        ("sampling: a system call is struck", "if not instruction.steppable:", "if False:"),
+        (
+            "sampling: memory is struck where there is none",
+            "return bool(eligible_memory(",
+            "return True or bool(eligible_memory(",
+        ),
+        (
+            "sampling: any number has a field",
+            "if (among := groups(fault, one.width_bits, one.element_bits, one.accessed))",
+            "if (among := groups(fault, one.width_bits, 64, one.accessed))",
+        ),
+    ),
 ]

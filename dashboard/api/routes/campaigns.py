@@ -96,6 +96,7 @@ class CampaignDetail(CampaignLine):
 
     spec: CampaignSpec
     files: dict[str, Files] = Field(description="of runs: kept, dropped, over quota")
+    replays: dict[str, int] = Field(description="runs that were flown again, by the answer")
     trouble: str = Field(default="", description="why the service does not go on with it")
 
 
@@ -103,8 +104,13 @@ def detail(service: Service, campaign: Campaign) -> CampaignDetail:
     """The progress of a campaign with its specification and files."""
     stands = line(service.store, service.store.find(campaign.label))
     trouble = service.runner.given_up.get(campaign.label, "")
-    kept = files(service.store, campaign)
-    return CampaignDetail(**stands.model_dump(), spec=campaign.spec, files=kept, trouble=trouble)
+    return CampaignDetail(
+        **stands.model_dump(),
+        spec=campaign.spec,
+        files=files(service.store, campaign),
+        replays=service.store.replay_counts(campaign),
+        trouble=trouble,
+    )
 
 
 def admitted(service: Service, spec: CampaignSpec) -> CampaignSpec:

@@ -79,7 +79,9 @@ def repeatable(service: Service, campaign: Campaign, run: int) -> Outcome:
 @router.post("/{run}/replay", responses=documented(409))
 def replay_run(service: ServiceDep, campaign: CampaignDep, run: RunId) -> Replay:
     """Fly an injected run again and compare; answers when it is flown."""
-    return Replay.model_validate_json(rerun(read_outcome(service, campaign, run), "replay"))
+    found = Replay.model_validate_json(rerun(read_outcome(service, campaign, run), "replay"))
+    service.store.note_replay(run, found.answer)
+    return found
 
 
 @router.post("/{run}/series", status_code=201, responses=documented(409))

@@ -186,6 +186,17 @@ class StoreQueries:
         with self.database.reading() as connection:
             return {row[0]: (row[1], int(row[2])) for row in connection.execute(query)}
 
+    def replay_counts(self, campaign: Campaign) -> dict[str, int]:
+        """How many runs were flown again, by what came of it the last time."""
+        query = (
+            sa.select(ResultRow.replay, sa.func.count())
+            .join(RunRow, RunRow.id == ResultRow.run_id)
+            .where(RunRow.campaign_id == campaign.id, ResultRow.replay != "")
+            .group_by(ResultRow.replay)
+        )
+        with self.database.reading() as connection:
+            return {row[0]: row[1] for row in connection.execute(query)}
+
     def records(self, campaign: Campaign) -> Iterator[FlightRecord]:
         """Every run with its result, in the order of planning."""
         query = (

@@ -69,7 +69,10 @@ class RunRow(Base):
 
 
 class ResultRow(Base):
-    """The one result of a run: the primary key is the run, so there cannot be two."""
+    """The one result of a run: the primary key is the run, so there cannot be two.
+
+    ``replay`` is the answer when it was last flown again, empty if it never was.
+    """
 
     __tablename__ = "results"
     __table_args__ = (Index(None, "result"), Index(None, "success", "flight_time_s"))
@@ -95,3 +98,4 @@ class ResultRow(Base):
     outcome: Mapped[str] = mapped_column(Text)
     artefact: Mapped[str] = mapped_column(default="", server_default="")
     artefact_bytes: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")
+    replay: Mapped[str] = mapped_column(default="", server_default="")

@@ -143,6 +143,11 @@ class Store(StoreQueries):
                 sa.update(CampaignRow).where(CampaignRow.id == campaign.id).values(wish=desired)
             )
 
+    def note_replay(self, run: int, answer: str) -> None:
+        """Keep what came of flying a run again: "replayed" or how it differed."""
+        with self.database.writing() as connection:
+            connection.execute(sa.update(ResultRow).where(ResultRow.run_id == run).values(replay=answer))
+
     def write(
         self,
         campaign: Campaign,

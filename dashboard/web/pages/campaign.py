@@ -10,6 +10,7 @@ from nicegui import ui
 from nicegui.events import GenericEventArguments
 from starlette.requests import Request
 
+from dashboard.analysis import tables
 from dashboard.api.routes.campaigns import CampaignDetail
 from dashboard.api.service import Service
 from dashboard.campaigns.store.listing import RunQuery
@@ -184,4 +185,5 @@ def _at(stamp: str) -> str:
 
 def _kept(status: CampaignDetail) -> str:
     kept = [f"{one.runs} {fate} ({one.bytes / 1e6:.1f} MB)" for fate, one in status.files.items()]
-    return f"files of runs: {', '.join(kept)}" if kept else ""
+    told = [f"files of runs: {', '.join(kept)}"] if kept else []
+    return "; ".join(told + ([tables.replays(status.replays)] if status.replays else []))
