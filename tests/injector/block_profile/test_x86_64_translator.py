@@ -37,6 +37,7 @@ def test_a_block_ends_before_another_one_begins() -> None:
     [
         ("4801c8 c3", True),  # add rax,rcx sets all flags
         ("7500", False),  # jne reads one at once
+        ("0f94c0 4801c8 c3", False),  # sete reads one before add sets them
         ("4889c8 c3", False),  # mov sets none, and who is returned to may read them
         ("48d3e0 c3", False),  # shl rax,cl sets none if cl is 0
         ("f3a6 c3", False),  # repe cmpsb sets none if rcx is 0
