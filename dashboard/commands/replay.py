@@ -37,7 +37,7 @@ def replay(source: str, store: str, as_json: bool) -> None:
     Answers replayed, diverged or not_reached for each; exit status 0 if all were replayed, else 1.
     """
     with ExitStack() as held:
-        keep: Callable[[int, str], object] = lambda _number, _answer: None  # noqa: E731
+        keep: Callable[[int, str], None] = _keep_nowhere
         if Path(source).is_file():
             outcomes, passed_over = of_file(Path(source))
         else:
@@ -54,8 +54,12 @@ def replay(source: str, store: str, as_json: bool) -> None:
         sys.exit(1)
 
 
+def _keep_nowhere(_number: int, _answer: str) -> None:
+    """Keep no answer: flights of a file have no place for one."""
+
+
 def _flown_again(
-    outcomes: Mapping[int, Outcome], keep: Callable[[int, str], object], as_json: bool
+    outcomes: Mapping[int, Outcome], keep: Callable[[int, str], None], as_json: bool
 ) -> dict[str, Counter[str]]:
     """Each flight again, told and kept as it ends; how often which answer was given, by what is struck."""
     found: dict[str, Counter[str]] = defaultdict(Counter)

@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from deploy.config.check import BadSpecError
 
-REVISION = "0004"
+REVISION = "0005"
 """The newest step in ``migrations/versions``."""
 
 
