@@ -188,7 +188,7 @@ def not_injected(
 
 
 class FlightOverError(Exception):
-    """The simulator has left the bus: the flight is over."""
+    """The simulator and the node have left the bus: the flight is over."""
 
 
 class NodeGate:
@@ -206,7 +206,8 @@ class NodeGate:
     ) -> None:
         self._clock = clock
         self._programs = programs
-        self._over = False
+        self._over = self._sim_left = False
+        self._stage = stage
         self.announced: dict[str, Announcement] = {}
         self._waiting: zenoh.Query | None = None
         self._key = session.gate_key(stage)
@@ -228,7 +229,7 @@ class NodeGate:
             self._clock.leave_out(pause_ns)
 
     def wait(self) -> bool:
-        """Wait until the node is at the gate; False once the simulator is gone."""
+        """Wait until the node is at the gate; False once the simulator and the node are gone."""
         while self._waiting is None and not self._over:
             self._take_in()
         return self._waiting is not None
@@ -267,7 +268,10 @@ class NodeGate:
             self._waiting = None
 
     def _meet(self, sample: zenoh.Sample) -> bool:
-        """Note who came or went; whether the flight is over by that."""
+        """Note who came or went; whether the flight is over by that.
+
+        The simulator may have flown to the end before the armed call, as it knows when each answer is due.
+        """
         one = Announcement.parse(str(sample.key_expr))
         if sample.kind == zenoh.SampleKind.PUT:
             self.announced[one.name] = replace(one, executable=self._programs.get(one.name))
@@ -275,7 +279,8 @@ class NodeGate:
         known = self.announced.get(one.name)
         if known is not None and replace(known, executable=None) == replace(one, executable=None):
             del self.announced[one.name]
-        return one.name == "sim"
+        self._sim_left = self._sim_left or one.name == "sim"
+        return self._sim_left and self._stage not in self.announced
 
 
 def _is_query(_: zenoh.Query) -> bool:

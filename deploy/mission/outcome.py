@@ -67,7 +67,7 @@ def mission_outcome(
     fault, injection = spec.fault, bus.injection
     if fault is not None and injection is None:
         injection = _not_reached(fault)
-    nodes = _reports(members)
+    nodes = _reports(members, end.time_ns)
     if fault is not None and injection is not None and injection.trigger is not None:
         spec = spec.model_copy(update={"fault": fault.model_copy(update={"trigger": injection.trigger})})
     return Outcome(
@@ -99,11 +99,13 @@ def _not_reached(fault: FaultSpec) -> InjectionRecord:
     )
 
 
-def _reports(members: Mapping[str, SupervisedNode]) -> dict[str, NodeReport]:
+def _reports(members: Mapping[str, SupervisedNode], end_ns: int) -> dict[str, NodeReport]:
     def result(member: SupervisedNode) -> NodeResult:
         if member.hangs:
             return "hang"
         return "crash" if member.crashes else "golden"
 
     reported = (*STAGES, DETECTOR)
-    return {name: member.report(result(member)) for name, member in members.items() if name in reported}
+    return {
+        name: member.report(result(member), end_ns) for name, member in members.items() if name in reported
+    }

@@ -65,9 +65,12 @@ class SupervisedNode:
         lines = self.log.read_text(errors="replace").strip().splitlines() if self.log.exists() else []
         return lines[-1] if lines else "no output"
 
-    def report(self, result: NodeResult) -> NodeReport:
-        """The node's report for the outcome."""
+    def report(self, result: NodeResult, end_ns: int) -> NodeReport:
+        """The node's report for the outcome of a flight that ended at this virtual time."""
         page = self.stats.page
+        # Of the call that ends later nothing comes in the flight, and it need not have begun.
+        late = page["end_ns"] > end_ns
+        calls = (page["invocations"] - late).tolist()
         return NodeReport(
             result=result,
             crashes=self.crashes,
@@ -87,12 +90,12 @@ class SupervisedNode:
             waiting_s=int(page["waiting_wall_ns"]) / 1e9,
             kernels={
                 name: KernelUse(
-                    invocations=int(page["invocations"][i]),
+                    invocations=calls[i],
                     cpu_ns=int(page["cpu_ns"][i]),
                     cpu_squares_ns2=float(page["cpu_squares_ns2"][i]),
                 )
                 for i, name in enumerate(self.kernels)
-                if page["invocations"][i]
+                if calls[i] > 0
             },
         )
 
@@ -192,9 +195,14 @@ class Supervisor:
         ]
 
     def end(self, grace_s: float, meanwhile: Callable[[], object]) -> None:
-        """Wait for the members to end by themselves, calling ``meanwhile`` again and again; kill the rest."""
+        """Wait for the members to end by themselves, calling ``meanwhile`` again and again; kill the rest.
+
+        One at the injector's gate has so long from when it has passed.
+        """
         deadline = time.monotonic() + grace_s
         while any(member.alive for member in self.members.values()):
+            if any(one.alive and one.stats.page["gated"] for one in self.members.values()):
+                deadline = max(deadline, time.monotonic() + grace_s)
             if time.monotonic() > deadline:
                 for member in self.members.values():
                     if member.alive:

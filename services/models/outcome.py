@@ -97,7 +97,10 @@ def repeatable(record: InjectionRecord) -> InjectionRecord:
 
 
 class KernelUse(Strict):
-    """How often a kernel ran in a flight and what it took of its thread, summed, and its squares summed."""
+    """How often a kernel ran in a flight and what it took of its thread, summed, and its squares summed.
+
+    A call that ends after the flight is none of its ``invocations``: no fault is drawn for it.
+    """
 
     invocations: int
     cpu_ns: int

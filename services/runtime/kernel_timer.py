@@ -56,6 +56,7 @@ class KernelTimer:
         invocation = int(page["invocations"][index])
         # Before the call: one that ends in a crash is not to be armed again after the restart.
         page["invocations"][index] += 1
+        page["end_ns"][index] = end_ns = self.end_ns(node.now_ns, kernel, invocation)
         armed = self._is_armed(kernel, invocation, node.now_ns)
         in_probe = armed and self._gate("enter", kernel, invocation, node.now_ns)
         begin = self._cpu_ns()
@@ -75,7 +76,7 @@ class KernelTimer:
         page["cpu_ns"][index] += spent
         page["cpu_squares_ns2"][index] += float(spent) ** 2
         page["last_cpu_ns"][index] = spent
-        node.now_ns = self.end_ns(node.now_ns, kernel, invocation)
+        node.now_ns = end_ns
 
     def end_ns(self, now_ns: int, kernel: str, invocation: int) -> int:
         """The time at which a call that began at ``now_ns`` ends on the mission's platform."""

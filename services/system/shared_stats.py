@@ -31,6 +31,7 @@ _LAYOUT = np.dtype(
         ("messaging_wall_ns", np.int64),
         ("waiting_wall_ns", np.int64),
         ("invocations", np.int64, (MAX_KERNELS,)),  # by the order of the node's kernel names
+        ("end_ns", np.int64, (MAX_KERNELS,)),  # virtual time at which the last call ends
         ("cpu_ns", np.int64, (MAX_KERNELS,)),
         ("cpu_squares_ns2", np.float64, (MAX_KERNELS,)),
         ("last_cpu_ns", np.int64, (MAX_KERNELS,)),

@@ -5,7 +5,7 @@ import pytest
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from services.kernels import KERNELS
-from services.models.mission import FaultSpec, Limits, MissionSpec
+from services.models.mission import FaultSpec, Limits, MissionSpec, Trigger
 
 SHORT = Limits(mission_time_s=6.0)
 """Every kernel is called in this time."""
@@ -24,11 +24,22 @@ def test_all_of_an_injection_but_the_flip_is_benign(pairs: PairFlyer, target: st
     outcome = pairs.fly(MissionSpec(seed=7, fault=fault, limits=SHORT))
     assert outcome.golden is not None
     assert outcome.injection is not None
-    assert outcome.injection.status in ("not_activated", "not_reached")
+    assert outcome.injection.status == "not_activated"
     assert outcome.injection.model == "none"
     assert outcome.injection.before == outcome.injection.after == outcome.injection.read_back
     assert outcome.nodes[KERNELS[target].stage].result == "benign"
     assert (outcome.digest, outcome.qof) == (outcome.golden.digest, outcome.golden.qof)
+
+
+def test_a_call_that_ends_after_the_flight_is_not_drawn_but_struck_if_asked_for(pairs: PairFlyer) -> None:
+    """In this flight the second call of the planner begins just before the end."""
+    spec = MissionSpec(seed=5002, limits=Limits(mission_time_s=8.0))
+    for asked, trigger in ((0, None), (1, Trigger(invocation=1))):
+        fault = FaultSpec(target="rrt_star", model="none", seed=1, trigger=trigger)
+        outcome = pairs.fly(spec.model_copy(update={"fault": fault}))
+        assert outcome.nodes["planning"].kernels["rrt_star"].invocations == 1
+        assert outcome.injection is not None
+        assert (outcome.injection.status, outcome.injection.invocation) == ("not_activated", asked)
 
 
 def test_the_record_says_which_fault_it_was(pairs: PairFlyer) -> None:
