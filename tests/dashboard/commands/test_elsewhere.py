@@ -92,6 +92,7 @@ def test_a_campaign_of_faults_is_the_same_everywhere(tmp_path: Path) -> None:
     assert found[0] == found[1]
 
 
+@pytest.mark.soak
 def test_a_kernel_study_is_the_same_everywhere(tmp_path: Path) -> None:
     found = answers(tmp_path, "kernels", "run", "--kernel", "pid", "--injections", 20, "--seed", 5)
     runs = [[line for line in lines if "summary" not in line] for lines in found]
