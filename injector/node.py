@@ -25,7 +25,7 @@ from injector.flight.external_stage import (
     programs,
 )
 from injector.flight.injection import inject
-from injector.flight.probe import ProbeError, ProbeRun, sent_ahead
+from injector.flight.probe import ProbeLostError, ProbeRun, sent_ahead
 from injector.flight.site_draw import NothingEligibleError, draw_site
 from injector.flight.warm_up import warm_up_on_a_fork
 from injector.tracing.process import END_LIMIT_MS, Process, ProcessIdentity, VanishedError
@@ -43,6 +43,9 @@ from services.runtime.clock import FlightClock
 from services.runtime.probe_gate import PROBE
 from services.runtime.setup import NodeSetup
 from services.system.shared_stats import SharedStats
+
+MOST_LOST = 5
+"""Probes that somebody kills before we give up."""
 
 
 def warm_up() -> None:
@@ -88,7 +91,7 @@ class ProbeRuns:
         self.sent += 1
         with self._watched(), sent_ahead(self._target, self._gate.send_probe) as probe:
             yield probe
-        self._await()
+        self.await_node()
 
     @contextmanager
     def ahead_of_program(self) -> Iterator[StageProbe]:
@@ -99,13 +102,17 @@ class ProbeRuns:
         """
         self.sent += 1
         self._gate.send_probe()
-        self._await()
+        self.await_node()
         program = alike(self._target, int(self._gate.request()["pid"]))
         with self._watched(), at_the_function(program, self._function, self._gate.open) as probe:
             yield probe
-        self._await()
+        self.await_node()
 
-    def _await(self) -> None:
+    def await_node(self) -> None:
+        """Wait until the node is at the gate again.
+
+        :raises FlightOverError: if it will not be.
+        """
         if not self._gate.wait():
             raise FlightOverError
 
@@ -114,16 +121,16 @@ class ProbeRuns:
         """A probe may be killed because its node is.
 
         :raises VanishedError: if that is so.
-        :raises ProbeError: if the node lives.
+        :raises ProbeLostError: if the node lives.
         """
         try:
             yield
-        except (GoneError, VanishedError) as error:
+        except (GoneError, VanishedError, ProcessLookupError) as error:
             with Process(ProcessIdentity.announced(self._target)) as node:
                 if node.ends_within(END_LIMIT_MS):
                     message = f"process {node.pid} is gone"
                     raise VanishedError(message) from error
-            raise ProbeError("a probe was killed, but not its node") from error
+            raise ProbeLostError("a probe was killed, but not its node") from error
 
 
 def inject_at(gate: NodeGate, fault: FaultSpec, seed: int, function: str | None) -> InjectionRecord:
@@ -138,14 +145,10 @@ def inject_at(gate: NodeGate, fault: FaultSpec, seed: int, function: str | None)
     trigger = fault.trigger if fault.trigger is not None else Trigger()
     trigger = trigger.model_copy(update={"invocation": int(request["invocation"])})
     target = gate.announced[aimed_at(fault)]
-    draw = rng.generator(seed, f"site {fault.target}", fault.seed)
     probes = ProbeRuns(gate, target, function or "")
     if trigger.site is None and trigger.cpu_ns is None:
         try:
-            if function is None:
-                trigger = draw_site(probes.ahead, fault, trigger, draw)
-            else:
-                trigger = draw_site_in_function(probes.ahead_of_program, trigger, draw)
+            trigger = _drawn(probes, fault, trigger, seed, function)
         except NothingEligibleError as error:
             return not_injected(gate, fault, trigger, InjectionResult("not_activated", str(error)))
         except NeverCalledError as error:
@@ -168,6 +171,25 @@ def inject_at(gate: NodeGate, fault: FaultSpec, seed: int, function: str | None)
         rng.generator(seed, f"injection {fault.target}", fault.seed),
     )
     return record.model_copy(update={"probes": probes.sent})
+
+
+def _drawn(probes: ProbeRuns, fault: FaultSpec, trigger: Trigger, seed: int, function: str | None) -> Trigger:
+    """The trigger with a site; drawn anew, and so the same, if somebody kills a probe.
+
+    :raises ProbeLostError: if that happens again and again.
+    """
+    lost = 0
+    while True:
+        draw = rng.generator(seed, f"site {fault.target}", fault.seed)
+        try:
+            if function is None:
+                return draw_site(probes.ahead, fault, trigger, draw)
+            return draw_site_in_function(probes.ahead_of_program, trigger, draw)
+        except ProbeLostError:
+            lost += 1
+            if lost == MOST_LOST:
+                raise
+            probes.await_node()
 
 
 def not_injected(

@@ -74,7 +74,8 @@ def _on_one_processor(pid: int) -> Iterator[None]:
     allowed = os.sched_getaffinity(0)
     one = {min(allowed)}
     try:
-        os.sched_setaffinity(pid, one)
+        with suppress(ProcessLookupError):  # killed; whoever wants something of it is told
+            os.sched_setaffinity(pid, one)
         os.sched_setaffinity(0, one)
         yield
     finally:
@@ -83,3 +84,7 @@ def _on_one_processor(pid: int) -> Iterator[None]:
 
 class ProbeError(Exception):
     """The target sends no probe, or a probe was killed."""
+
+
+class ProbeLostError(ProbeError):
+    """Somebody has killed a probe; its node lives and can send another one."""
