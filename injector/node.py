@@ -53,7 +53,7 @@ def warm_up() -> None:
 
 
 def main(setup: NodeSetup, address: BusAddress, _: SharedStats) -> None:
-    """Wait for the armed call, inject once, let everybody pass after that; end with the simulator."""
+    """Wait for the armed call, inject once, let everybody pass after that; end with simulator and node."""
     fault = setup.spec.fault
     assert fault is not None  # noqa: S101 - the injector is started with a fault only
     warm_up_on_a_fork(fault)
