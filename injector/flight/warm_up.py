@@ -47,5 +47,6 @@ def warm_up_on_a_fork(fault: FaultSpec) -> None:
                     stop, go = tracees.stop_all, tracees.detach_all
                     apply_fault(tracees, thread, process, nothing, draw, stop=stop, go=go)
     finally:
-        os.kill(pid, signal.SIGKILL)
-        os.waitpid(pid, 0)
+        with suppress(ProcessLookupError, ChildProcessError):  # killed, and we have heard of it as its tracer
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
