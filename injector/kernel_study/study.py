@@ -29,7 +29,14 @@ from injector.kernel_study.instruction_index import InstructionIndex
 from injector.kernel_study.remote_fork import RemoteForkError, RemoteForks
 from injector.kernel_study.subject import MARK, Subject
 from injector.tracing import elf, ptrace
-from injector.tracing.process import MemoryMap, Process, ProcessIdentity, VanishedError, sleeps
+from injector.tracing.process import (
+    CodeError,
+    MemoryMap,
+    Process,
+    ProcessIdentity,
+    VanishedError,
+    sleeps,
+)
 from injector.tracing.ptrace import GoneError, StopReport, wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
@@ -112,8 +119,8 @@ class SubjectInjector:
         self._kernel, self._subject, self._tracees = kernel, subject, tracees
         self._root = tracees.threads[pid]
         self._forks = RemoteForks(tracees)
-        # The same in all copies.
         self._inside: tuple[FaultSpec | None, Callable[[int], bool]] = (None, lambda _: True)
+        # The same in all copies.
         self._places = elf.CodeLocations(pid, MemoryMap(Path(f"/proc/{pid}/maps").read_text()))
         self.anchor_search = AnchorSearch(tracees, self._forks, self._root, MARK)
         self._limit_s = _BEGIN_S
@@ -160,8 +167,8 @@ class SubjectInjector:
             address = ptrace.program_counter(there.tid)
             with Process(ProcessIdentity.of(there.pid)) as process:
                 instruction = decode(process.read_code(address), address)
-        except (GoneError, VanishedError):
-            return True  # it is told of where no copy can be made
+        except (GoneError, VanishedError, CodeError):
+            return True  # it was killed: that is told of where no copy can be made
         except DecodeError:
             return False
         return self._within(fault)(address) and is_eligible(fault, instruction)
@@ -317,10 +324,10 @@ def _cpu_s(pid: int) -> float:
 
 
 @contextmanager
-def subject_injector(kernel: str, subject: Subject, pid: int, go: int) -> Iterator[SubjectInjector]:
-    """An injector for copies of the process that ``subject`` forked; it and they are gone afterwards.
+def at_the_beginning(kernel: str, pid: int, go: int) -> Iterator[TraceeGroup]:
+    """The process that a subject forked, traced by us, at the beginning of its call.
 
-    :raises RuntimeError: if the call is not the same in a copy.
+    :raises RuntimeError: if it does not come there.
     """
     with TraceeGroup(MARK, forks=True, ours=True) as tracees:
         tracees.seize([pid])
@@ -333,6 +340,16 @@ def subject_injector(kernel: str, subject: Subject, pid: int, go: int) -> Iterat
         if not wait_until(there, _BEGIN_S):
             message = f"{kernel}: the process to be copied never began its call"
             raise RuntimeError(message)
+        yield tracees
+
+
+@contextmanager
+def subject_injector(kernel: str, subject: Subject, pid: int, go: int) -> Iterator[SubjectInjector]:
+    """An injector for copies of the process that ``subject`` forked; it and they are gone afterwards.
+
+    :raises RuntimeError: if the call is not the same in a copy.
+    """
+    with at_the_beginning(kernel, pid, go) as tracees:
         injector = SubjectInjector(kernel, subject, pid, tracees)
         try:
             yield injector

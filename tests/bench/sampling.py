@@ -8,7 +8,6 @@ the stepped call the drawn ones lie is compared with where the eligible ones lie
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -26,9 +25,9 @@ from injector.faults.eligibility import is_eligible
 from injector.isa.host import decode
 from injector.isa.instruction import DecodeError
 from injector.kernel_study.remote_fork import RemoteForks
+from injector.kernel_study.study import at_the_beginning
 from injector.kernel_study.subject import MARK, Subject
 from injector.tracing.process import Process, ProcessIdentity
-from injector.tracing.ptrace import wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from services.kernels import KERNELS
@@ -55,15 +54,7 @@ def standing(kernel: str) -> Iterator[tuple[TraceeGroup, RemoteForks, Tracee]]:
     """A process at the beginning of the kernel's call; gone afterwards."""
     importlib.import_module(KERNELS[kernel].samples_module)
     pid, go = Subject(KERNELS[kernel]).fork()
-    with TraceeGroup(MARK, forks=True, ours=True) as tracees:
-        tracees.seize([pid])
-        os.write(go, b"x")
-
-        def there() -> bool | None:
-            tracees.service()
-            return True if tracees.threads[pid].report is not None else None
-
-        assert wait_until(there, 20.0)
+    with at_the_beginning(kernel, pid, go) as tracees:
         forks = RemoteForks(tracees)
         yield tracees, forks, tracees.threads[pid]
         for one in list(tracees.threads.values()):

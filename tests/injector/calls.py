@@ -17,7 +17,7 @@ from injector.flight.approach import KernelCall
 from injector.flight.injection import inject as inject_into
 from injector.flight.probe import ProbeRun, sent_ahead
 from services.bus.announce import Announcement, boot_id, start_ticks
-from services.models.mission import FaultSpec
+from services.models.mission import FaultSpec, Site, Trigger
 from services.models.outcome import InjectionRecord
 from services.runtime.rng import generator
 
@@ -123,3 +123,15 @@ def caller(passes: int) -> Iterator[Caller]:
         with suppress(ProcessLookupError):
             os.killpg(one.pid, signal.SIGKILL)  # its probes too
         one.process.communicate()
+
+
+def registers_in_the_loop(passes: int, passing: int) -> dict[str, int]:
+    """What the loop's registers hold before its addition is executed for the ``passing``-th time."""
+    left = passes - passing + 1
+    return {"rcx": left, "rax": sum(range(left + 1, passes + 1))}
+
+
+def aimed_at_a_source(site: Site) -> FaultSpec:
+    """A fault in a general register that the instruction at a site reads."""
+    trigger = Trigger(invocation=0, site=site)
+    return FaultSpec(target="kernel", operand="source", register_class="gpr", trigger=trigger)

@@ -9,25 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from services.models.mission import FaultSpec, Site, Trigger
+from services.models.mission import Site
 from tests.conftest import alive, descendants
-from tests.injector.calls import LOOP, caller
+from tests.injector.calls import LOOP, aimed_at_a_source, caller, registers_in_the_loop
 
 pytestmark = pytest.mark.usefixtures("may_inject")
 
 PASSES = 400
-
-
-def at(site: Site) -> FaultSpec:
-    return FaultSpec(
-        target="kernel", operand="source", register_class="gpr", trigger=Trigger(invocation=0, site=site)
-    )
-
-
-def in_the_loop(passing: int) -> dict[str, int]:
-    """What its registers hold before the instruction's ``passing``-th execution."""
-    left = PASSES - passing + 1
-    return {"rcx": left, "rax": sum(range(left + 1, PASSES + 1))}
 
 
 def test_probes_of_one_call_take_the_same_way() -> None:
@@ -44,9 +32,9 @@ def test_probes_of_one_call_take_the_same_way() -> None:
 @pytest.mark.parametrize("hit", [1, 3, PASSES])
 def test_the_occurrence_rung_strikes_the_drawn_pass(hit: int) -> None:
     with caller(PASSES) as one:
-        record = one.inject(at(Site(precision="occurrence", offset=one.loop, hit=hit)))
+        record = one.inject(aimed_at_a_source(Site(precision="occurrence", offset=one.loop, hit=hit)))
         assert (record.status, record.precision, record.instruction) == ("injected", "occurrence", LOOP)
-        found = in_the_loop(hit)
+        found = registers_in_the_loop(PASSES, hit)
         assert int(record.before, 16) == found[record.register_name]
         if record.register_name == "rax":
             (bit,) = record.bits
@@ -56,7 +44,7 @@ def test_the_occurrence_rung_strikes_the_drawn_pass(hit: int) -> None:
 
 def test_a_call_that_is_over_before_the_pass_is_not_reached() -> None:
     with caller(PASSES) as one:
-        record = one.inject(at(Site(precision="occurrence", offset=one.loop, hit=PASSES + 1)))
+        record = one.inject(aimed_at_a_source(Site(precision="occurrence", offset=one.loop, hit=PASSES + 1)))
         assert (record.status, record.bits) == ("not_reached", [])
         assert f"{PASSES} of {PASSES + 1}" in record.reason
         assert one.result() == one.right
@@ -66,14 +54,16 @@ def test_a_call_that_is_over_before_the_pass_is_not_reached() -> None:
 def test_nothing_is_flipped_where_the_site_looks_otherwise(field: str) -> None:
     with caller(PASSES) as one:
         site = Site(precision="occurrence", offset=one.loop, hit=7).model_copy(update={field: "00"})
-        record = one.inject(at(site))
+        record = one.inject(aimed_at_a_source(site))
         assert (record.status, record.bits) == ("diverged", [])
         assert one.result() == one.right
 
 
 def test_code_that_is_not_loaded_is_told() -> None:
     with caller(PASSES) as one:
-        record = one.inject(at(Site(precision="occurrence", module="libnowhere.so", offset=16, hit=7)))
+        record = one.inject(
+            aimed_at_a_source(Site(precision="occurrence", module="libnowhere.so", offset=16, hit=7))
+        )
         assert record.status == "diverged"
         assert "libnowhere.so" in record.reason
         assert one.result() == one.right
@@ -84,7 +74,7 @@ def test_the_same_site_is_found_again_by_what_was_seen_there() -> None:
     site = Site(precision="occurrence", hit=11)
     for _ in range(2):
         with caller(PASSES) as one:
-            record = one.inject(at(site.model_copy(update={"offset": one.loop})))
+            record = one.inject(aimed_at_a_source(site.model_copy(update={"offset": one.loop})))
             records.append(record)
             assert record.trigger is not None
             assert record.trigger.site is not None

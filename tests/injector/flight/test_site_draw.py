@@ -10,7 +10,7 @@ from injector.flight import site_draw
 from injector.flight.site_draw import NothingEligibleError, draw_site
 from services.models.mission import FaultSpec, Site, Trigger, Waypoint
 from services.runtime.rng import generator
-from tests.injector.calls import LOOP, Caller, caller
+from tests.injector.calls import LOOP, Caller, caller, registers_in_the_loop
 
 pytestmark = pytest.mark.usefixtures("may_inject")
 
@@ -29,12 +29,6 @@ def drawn(one: Caller, fault: FaultSpec, seed: int) -> Site:
 
 def at(site: Site, fault: FaultSpec = OWN_CODE) -> FaultSpec:
     return fault.model_copy(update={"trigger": Trigger(invocation=0, site=site)})
-
-
-def registers_in_the_loop(passes: int, hit: int) -> dict[str, int]:
-    """What its registers hold before the addition's ``hit``-th execution."""
-    left = passes - hit + 1
-    return {"rcx": left, "rax": sum(range(left + 1, passes + 1))}
 
 
 @pytest.mark.parametrize("passes", [400, MANY])

@@ -3,24 +3,12 @@
 import pytest
 
 from injector.flight.traced_site import approach
-from services.models.mission import FaultSpec, Site, Trigger
-from tests.injector.calls import LOOP, caller
+from services.models.mission import Site
+from tests.injector.calls import LOOP, aimed_at_a_source, caller, registers_in_the_loop
 
 pytestmark = pytest.mark.usefixtures("may_inject")
 
 PASSES = 400
-
-
-def at(site: Site) -> FaultSpec:
-    return FaultSpec(
-        target="kernel", operand="source", register_class="gpr", trigger=Trigger(invocation=0, site=site)
-    )
-
-
-def in_the_loop(passing: int) -> dict[str, int]:
-    """What its registers hold before the instruction's ``passing``-th execution."""
-    left = PASSES - passing + 1
-    return {"rcx": left, "rax": sum(range(left + 1, PASSES + 1))}
 
 
 @pytest.mark.parametrize("passing", [1, 2, 77, PASSES])
@@ -31,11 +19,11 @@ def test_every_way_to_a_step_ends_at_it(passing: int) -> None:
         step = [number for number, address in enumerate(every) if address == one.loop][passing - 1]
         with one.ahead() as probe:
             quickest = approach(probe.process, every, step)
-        record = one.inject(at(quickest), passing)
+        record = one.inject(aimed_at_a_source(quickest), passing)
         assert (record.status, record.instruction) == ("injected", LOOP)
-        assert int(record.before, 16) == in_the_loop(passing)[record.register_name]
+        assert int(record.before, 16) == registers_in_the_loop(PASSES, passing)[record.register_name]
     with caller(PASSES) as one:
         walked = Site(precision="exact", offset=one.loop, hit=1, steps=3 * (passing - 1))
-        record = one.inject(at(walked), passing)
+        record = one.inject(aimed_at_a_source(walked), passing)
         assert (record.status, record.instruction) == ("injected", LOOP)
-        assert int(record.before, 16) == in_the_loop(passing)[record.register_name]
+        assert int(record.before, 16) == registers_in_the_loop(PASSES, passing)[record.register_name]
