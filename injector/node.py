@@ -28,6 +28,7 @@ from injector.flight.injection import inject
 from injector.flight.probe import ProbeLostError, ProbeRun, sent_ahead
 from injector.flight.site_draw import NothingEligibleError, draw_site
 from injector.flight.warm_up import warm_up_on_a_fork
+from injector.tracing.compiled_functions import compiled_functions
 from injector.tracing.process import END_LIMIT_MS, Process, ProcessIdentity, VanishedError
 from injector.tracing.ptrace import GoneError, hear_of_children
 from services.bus import announce, session
@@ -163,6 +164,7 @@ def inject_at(gate: NodeGate, fault: FaultSpec, seed: int, function: str | None)
         marked=function is None,
         entry=0 if function is None else entry_of(target, function),
         leave_out=gate.leave_out,
+        compiled=compiled_functions() if function is None else None,
     )
     record = inject(
         call,

@@ -18,10 +18,9 @@ from dashboard.campaigns.store.store import Store
 from dashboard.terminal.injected_flights import of_campaign, of_file
 from dashboard.terminal.options import as_json, in_store
 from deploy.mission.fork_server import ForkServer
+from deploy.mission.replay import ANSWERS, REPEATED, ReplayAnswer
 from deploy.mission.replay import replay as fly_again
 from services.models.outcome import Outcome
-
-ANSWERS = ("replayed", "diverged", "not_reached")
 
 
 @click.command()
@@ -34,7 +33,8 @@ def replay(source: str, store: str, as_json: bool) -> None:
     A file has what `fly`, `campaign run` or `campaign resume` wrote with --json, or what the service tells of
     runs. Lines and runs without an injected flight are passed over and counted.
 
-    Answers replayed, diverged or not_reached for each; exit status 0 if all were replayed, else 1.
+    Answers for each: replayed, relocated (the same, with memory lying elsewhere), diverged or not_reached.
+    Exit status 0 if all were replayed or relocated, else 1.
     """
     with ExitStack() as held:
         keep: Callable[[int, str], None] = _keep_nowhere
@@ -50,7 +50,7 @@ def replay(source: str, store: str, as_json: bool) -> None:
         found = _flown_again(outcomes, keep, as_json)
     if not as_json:
         Console().print(_table(found))
-    if any(set(answers) - {"replayed"} for answers in found.values()):
+    if any(set(answers) - REPEATED for answers in found.values()):
         sys.exit(1)
 
 
@@ -60,9 +60,9 @@ def _keep_nowhere(_number: int, _answer: str) -> None:
 
 def _flown_again(
     outcomes: Mapping[int, Outcome], keep: Callable[[int, str], None], as_json: bool
-) -> dict[str, Counter[str]]:
+) -> dict[str, Counter[ReplayAnswer]]:
     """Each flight again, told and kept as it ends; how often which answer was given, by what is struck."""
-    found: dict[str, Counter[str]] = defaultdict(Counter)
+    found: dict[str, Counter[ReplayAnswer]] = defaultdict(Counter)
     console = Console(stderr=True)
     shown = Progress(console=console, transient=True, disable=not console.is_terminal)
     with closing(ForkServer()) as server, shown as progress:
@@ -75,7 +75,7 @@ def _flown_again(
             found[fault.target][answer.answer] += 1
             if as_json:
                 click.echo(answer.model_dump_json())
-            elif answer.answer != "replayed":
+            elif answer.answer not in REPEATED:
                 click.echo(f"{_name(outcome)}: {answer.answer}: {'; '.join(answer.differences)}")
             progress.advance(task)
     return found
@@ -87,9 +87,9 @@ def _name(outcome: Outcome) -> str:
     return f"{fault.target}, seed {outcome.spec.seed}, fault seed {fault.seed}"
 
 
-def _table(found: Mapping[str, Counter[str]]) -> Table:
+def _table(found: Mapping[str, Counter[ReplayAnswer]]) -> Table:
     table = Table(box=SIMPLE, show_footer=len(found) > 1)
-    total = sum(found.values(), Counter[str]())
+    total = sum(found.values(), Counter[ReplayAnswer]())
     table.add_column("struck", footer="all")
     table.add_column("flights", footer=str(total.total()), justify="right")
     for answer in ANSWERS:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from deploy.config.check import BadSpecError
 from deploy.mission.flight import fly
@@ -18,15 +18,21 @@ _SAME = (
     *("before", "after", "read_back"),
 )
 
+ReplayAnswer = Literal["replayed", "relocated", "diverged", "not_reached"]
+ANSWERS: tuple[ReplayAnswer, ...] = get_args(ReplayAnswer)
+REPEATED: frozenset[ReplayAnswer] = frozenset({"replayed", "relocated"})
+"""The answers that say that the same fault had the same outcome."""
+
 
 class Replay(Strict):
     """The result of a replay: whether the flight was repeated, and what differs.
 
-    ``replayed``: same record, same outcome. ``diverged``: the site looked otherwise and nothing was
-    flipped, or what followed differs. ``not_reached``: the call was over, or never came, before the site.
+    ``replayed``: same record, same outcome. ``relocated``: likewise, but memory lay elsewhere: pointers had
+    other values and pointed into the same. ``diverged``: the site looked otherwise and nothing was flipped,
+    or what followed differs. ``not_reached``: the call was over, or never came, before the site.
     """
 
-    answer: Literal["replayed", "diverged", "not_reached"]
+    answer: ReplayAnswer
     differences: list[str] = []
 
 
@@ -42,9 +48,7 @@ def replay(first: Outcome, server: ForkServer) -> Replay:
     again = fly(first.spec, server).outcome
     repeated = again.injection
     if repeated is not None and repeated.status != record.status:
-        answer: Literal["diverged", "not_reached"] = (
-            "not_reached" if repeated.status == "not_reached" else "diverged"
-        )
+        answer: ReplayAnswer = "not_reached" if repeated.status == "not_reached" else "diverged"
         return Replay(answer=answer, differences=[repeated.reason or f"the fault is {repeated.status}"])
     return compare(first, again)
 
@@ -65,10 +69,23 @@ def refusal(first: Outcome) -> str:
 def compare(first: Outcome, again: Outcome) -> Replay:
     """Compare two flights' records and outcomes, wall times and pids aside."""
     before, after = _repeatable(first), _repeatable(again)
-    differences = [
-        f"{name}: {before[name]} then, {after[name]} now" for name in before if before[name] != after[name]
-    ]
-    return Replay(answer="diverged" if differences else "replayed", differences=differences)
+    differ = {name for name in before if before[name] != after[name]}
+    differences = [f"{name}: {before[name]} then, {after[name]} now" for name in before if name in differ]
+    answer: ReplayAnswer = "diverged" if differ else "replayed"
+    if differ and differ <= _pointers(first.injection, again.injection):
+        answer = "relocated"
+    return Replay(answer=answer, differences=differences)
+
+
+def _pointers(record: InjectionRecord | None, repeated: InjectionRecord | None) -> set[str]:
+    """What may differ where memory lies elsewhere: it is a pointer, or made of one.
+
+    That the registers at the site differ by nothing else was checked before the fault struck.
+    """
+    if record is None or repeated is None or record.state:
+        return set()
+    same_target = record.points_into and record.points_into == repeated.points_into
+    return {"registers at the site", "address"} | ({"before", "after", "read_back"} if same_target else set())
 
 
 def _repeatable(outcome: Outcome) -> dict[str, Any]:

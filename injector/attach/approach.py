@@ -182,11 +182,11 @@ class AttachApproach(Approach):
                     )
 
     def _frame(self, thread: Tracee) -> _Frame:
-        stack = registers_of(thread).get("rsp")
+        stack = registers_of(thread).stack_pointer
         return _Frame(int.from_bytes(self.process.read_memory(stack, 8), "little"), stack)
 
     def _is_over(self, thread: Tracee, frame: _Frame) -> bool:
-        return registers_of(thread).get("rsp") > frame.stack
+        return registers_of(thread).stack_pointer > frame.stack
 
     # -- by time ------------------------------------------------------------------------------------
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,10 @@ class InstructionCounts:
     leaders: frozenset[int]
 
     @classmethod
-    def of(cls, blocks: Iterable[CountedBlock]) -> InstructionCounts:
-        """Sum up what blocks were passed; an instruction may lie in several. In the order of addresses."""
+    def of(
+        cls, blocks: Iterable[CountedBlock], order: Callable[[int], Any] = lambda address: address
+    ) -> InstructionCounts:
+        """Sum up what blocks were passed; an instruction may lie in several. Addresses are put in order."""
         passes: dict[int, int] = {}
         leaders = set()
         for block in blocks:
@@ -32,7 +35,7 @@ class InstructionCounts:
                 leaders.add(block.instructions[0])
             for address in block.instructions if block.passes else ():
                 passes[address] = passes.get(address, 0) + block.passes
-        addresses = sorted(passes)
+        addresses = sorted(passes, key=order)
         return cls(
             np.array(addresses, np.uint64),
             np.array([passes[address] for address in addresses], np.int64),

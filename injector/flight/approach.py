@@ -11,7 +11,8 @@ import numpy as np
 from injector.faults.apply import apply_fault
 from injector.faults.approach import Approach, MissedError
 from injector.faults.stopped_thread import InjectionResult, stand, step
-from injector.flight.fingerprint import Fingerprint, fingerprint_of
+from injector.flight.fingerprint import Fingerprint, Pointers, fingerprint_of
+from injector.tracing.compiled_functions import CompiledFunctions
 from injector.tracing.elf import locate
 from injector.tracing.perf_events import Breakpoint, ThreadTimer, await_trap
 from injector.tracing.process import MemoryMap, Process, sleeps
@@ -36,7 +37,8 @@ class KernelCall:
     itself where the call begins and ends (``Node.kernel``), and its thread time counts from the first;
     else it counts from ``armed`` on, and ``finished``, asked about every millisecond, tells the end. If there
     is an ``entry``, the call is one of the function there, and begins behind its first instruction.
-    ``leave_out`` is told how long everybody stood, in nanoseconds, just before they go on.
+    ``leave_out`` is told how long everybody stood, in nanoseconds, just before they go on. ``compiled`` are
+    the functions of numba that the target has in common with us, unless it is somebody's program.
     """
 
     target: Announcement
@@ -46,13 +48,14 @@ class KernelCall:
     marked: bool = False
     entry: int = 0
     leave_out: Callable[[int], object] = lambda _pause_ns: None
+    compiled: CompiledFunctions | None = None
 
 
 @dataclass
 class NodeApproach(Approach):
     """Brings a node's thread to the injection point; see :class:`injector.faults.approach.Approach`.
 
-    ``maps`` and ``fingerprint`` are of the moment of the fault: a crash takes them away.
+    ``maps``, ``fingerprint`` and ``pointers`` are of the moment of the fault: a crash takes them away.
     """
 
     DIED = "the target died before the fault"
@@ -66,6 +69,7 @@ class NodeApproach(Approach):
     limit_s: float
     maps: MemoryMap = field(default_factory=lambda: MemoryMap(""))
     fingerprint: Fingerprint | None = None
+    pointers: Pointers | None = None
     _slept: int = 0
 
     def _run(self) -> InjectionResult:
@@ -108,7 +112,9 @@ class NodeApproach(Approach):
     def _at(self, site: Site) -> InjectionResult:
         """Go to the place that a site names, check that it is the same, and inject.
 
-        The target's other threads stand meanwhile: nothing that they do can change what it executes.
+        It is the same if the instruction is and reads the same numbers; what its pointers point into may lie
+        elsewhere in memory. The target's other threads stand meanwhile: nothing that they do can change what
+        it executes.
         """
         self.tracees.quieten(self.thread)
         if site.hit:
@@ -120,14 +126,18 @@ class NodeApproach(Approach):
             if end != "stepped":
                 raise MissedError("failed", f"before the fault: the thread {end}")
         self.maps = self.target.maps()
-        self.fingerprint = fingerprint_of(self.thread, self.target)
-        for what, found, expected in (
-            ("instruction", self.fingerprint.code, site.code),
-            ("registers", self.fingerprint.registers, site.registers),
-        ):
-            if expected and found != expected:
-                raise MissedError("diverged", f"other {what} at the site: {found}, not {expected}")
+        self.fingerprint, self.pointers = fingerprint_of(self.thread, self.target, self.maps)
+        self._check(self.fingerprint, site)
         return self._inject() or InjectionResult("not_activated", "the site is a system call")
+
+    @staticmethod
+    def _check(found: Fingerprint, site: Site) -> None:
+        if site.code and found.code != site.code:
+            raise MissedError("diverged", f"other instruction at the site: {found.code}, not {site.code}")
+        if site.registers and found.registers != site.registers and found.relative != site.relative:
+            raise MissedError(
+                "diverged", f"other registers at the site: {found.registers}, not {site.registers}"
+            )
 
     def _pass_through(self, site: Site) -> None:
         if site.way is None:
@@ -139,7 +149,8 @@ class NodeApproach(Approach):
     def _to_a_pass(self, through: Site | Waypoint, hit: int, before: int) -> None:
         """Run to a pass through an address, the ``hit``-th from here; so many were ``before``."""
         module, build_id, offset = through.module, through.build_id, through.offset
-        address = locate(self.target.pid, self.target.maps(), module, build_id, offset)
+        maps = self.target.maps()
+        address = locate(self.target.pid, maps, module, build_id, offset, self.call.compiled)
         if address is None:
             code = f"{module} {build_id}".strip() or f"{offset:#x}"
             raise MissedError("diverged", f"no such code is loaded: {code}")

@@ -116,7 +116,7 @@ def at_the_function(program: Announcement, function: str, go: Callable[[], None]
             if end != "trapped":
                 message = f"{program.name} did not call {function} within {LIMIT_S:g} s: {end}"
                 raise NeverCalledError(message)
-            returns_to = process.read_memory(registers_of(thread).get("rsp"), 8)
+            returns_to = process.read_memory(registers_of(thread).stack_pointer, 8)
             tracees.step(thread)
             yield StageProbe(tracees, thread, process, int.from_bytes(returns_to, "little"))
         finally:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
+from dataclasses import asdict
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from services.bus.announce import Announcement
 from services.models.mission import FaultSpec
 from services.models.outcome import InjectionRecord
 from services.runtime.kernel_timer import GATE_SIGNAL
+
+POINTER_BITS = 64
 
 
 def inject(
@@ -76,20 +79,28 @@ def _record(approach: NodeApproach, found: InjectionResult) -> InjectionRecord:
     trigger = fault.trigger
     assert trigger is not None  # noqa: S101 - checked where the injection began
     if trigger.site is not None and approach.fingerprint is not None and found.status != "diverged":
-        seen = {"code": approach.fingerprint.code, "registers": approach.fingerprint.registers}
-        trigger = trigger.model_copy(update={"site": trigger.site.model_copy(update=seen)})
+        seen = trigger.site.model_copy(update=asdict(approach.fingerprint))
+        trigger = trigger.model_copy(update={"site": seen})
     return record_of(
         found,
         fault,
         node=call.target.name,
         kernel=fault.target,
         invocation=trigger.invocation or 0,
-        location=lambda address: place(call.target.pid, maps, address),
+        location=lambda address: place(call.target.pid, maps, address, call.compiled),
         precision=trigger.site.precision if trigger.site is not None else "cpu_time",
         trigger=trigger,
+        points_into=_target(approach, found),
         pid=call.target.pid,
         tid=call.target.tid,
         virtual_time_ns=call.virtual_time_ns,
         pause_us=tracees.pause_us,
         threads_stopped=tracees.threads_stopped,
     )
+
+
+def _target(approach: NodeApproach, found: InjectionResult) -> str:
+    """What the value that was struck points into, if it is a pointer."""
+    if approach.pointers is None or found.width_bits != POINTER_BITS:
+        return ""
+    return approach.pointers.target(found.before)

@@ -25,7 +25,8 @@ from injector.faults.eligibility import is_eligible
 from injector.flight.probe import ProbeRun
 from injector.isa.host import decode
 from injector.isa.instruction import DecodeError
-from injector.tracing.elf import CodeLocation, place
+from injector.tracing.compiled_functions import compiled_functions
+from injector.tracing.elf import CodeLocations, place
 from services.kernels import scope_of
 from services.models.mission import FaultSpec, Site, Trigger, Waypoint
 from services.runtime.kernel_timer import GATE_SIGNAL
@@ -65,7 +66,10 @@ def _draw(
     probe: ProbeRun, fault: FaultSpec, draw: np.random.Generator
 ) -> tuple[DynamicInstruction, Site, InstructionCounts]:
     call = CountedCall(probe.thread, probe.process, countable_code(fault, probe.process))
-    counts = InstructionCounts.of(call.run(GATE_SIGNAL))
+    blocks = call.run(GATE_SIGNAL)
+    places = CodeLocations(probe.process.pid, probe.process.maps(), compiled_functions())
+    # By names and offsets, not by addresses: the draw is the same where memory lies elsewhere.
+    counts = InstructionCounts.of(blocks, order=places.named)
 
     def eligible(address: int) -> bool:
         try:
@@ -77,7 +81,7 @@ def _draw(
     if drawn is None:
         message = f"none of the call's {counts.executed} instructions in scope {scope_of(fault)} is eligible"
         raise NothingEligibleError(message)
-    there = _place(probe, drawn.address)
+    there = places.at(drawn.address)
     site = Site(
         precision="exact",
         module=there.module,
@@ -101,12 +105,8 @@ def _with_a_way(
     way = shortest_way(call.run(GATE_SIGNAL), drawn)
     if way is None:
         return site
-    there = _place(probe, way.address)
+    there = place(probe.process.pid, probe.process.maps(), way.address, compiled_functions())
     waypoint = Waypoint(
         module=there.module, build_id=there.build_id, offset=there.offset, hit=way.hit, rest=way.rest
     )
     return site.model_copy(update={"way": waypoint})
-
-
-def _place(probe: ProbeRun, address: int) -> CodeLocation:
-    return place(probe.process.pid, probe.process.maps(), address)

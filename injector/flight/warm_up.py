@@ -42,7 +42,7 @@ def warm_up_on_a_fork(fault: FaultSpec) -> None:
                     if thread is None:  # somebody else has killed it
                         return
                     thread.timed = True
-                    fingerprint_of(thread, process)
+                    fingerprint_of(thread, process, process.maps())
                     draw = rng.generator(0, "rehearsal", time)
                     stop, go = tracees.stop_all, tracees.detach_all
                     apply_fault(tracees, thread, process, nothing, draw, stop=stop, go=go)

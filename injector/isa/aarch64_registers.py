@@ -82,6 +82,11 @@ class AArch64Registers(Registers):
         return int(struct.unpack_from("<Q", self._general, _PC_AT)[0])
 
     @property
+    def stack_pointer(self) -> int:
+        """Address of the top of the thread's stack."""
+        return self.get("sp")
+
+    @property
     def in_system_call(self) -> bool:
         """Never: this kernel puts a thread that it will have enter a call again back to the call first.
 

@@ -24,6 +24,11 @@ class Registers(ABC):
 
     @property
     @abstractmethod
+    def stack_pointer(self) -> int:
+        """Address of the top of the thread's stack."""
+
+    @property
+    @abstractmethod
     def in_system_call(self) -> bool:
         """Whether the thread was stopped within a system call that is to be entered again."""
 

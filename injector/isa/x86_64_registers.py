@@ -129,6 +129,11 @@ class X8664Registers(Registers):
         return self._word("rip")
 
     @property
+    def stack_pointer(self) -> int:
+        """Address of the top of the thread's stack."""
+        return self.get("rsp")
+
+    @property
     def in_system_call(self) -> bool:
         """Whether the thread was stopped within a system call that is to be entered again."""
         return self._in_system_call

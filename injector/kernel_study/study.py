@@ -29,6 +29,7 @@ from injector.kernel_study.instruction_index import InstructionIndex
 from injector.kernel_study.remote_fork import RemoteForkError, RemoteForks
 from injector.kernel_study.subject import MARK, Subject
 from injector.tracing import elf, ptrace
+from injector.tracing.compiled_functions import CompiledFunctions
 from injector.tracing.process import (
     CodeError,
     MemoryMap,
@@ -121,7 +122,9 @@ class SubjectInjector:
         self._forks = RemoteForks(tracees)
         self._inside: tuple[FaultSpec | None, Callable[[int], bool]] = (None, lambda _: True)
         # The same in all copies.
-        self._places = elf.CodeLocations(pid, MemoryMap(Path(f"/proc/{pid}/maps").read_text()))
+        self._places = elf.CodeLocations(
+            pid, MemoryMap(Path(f"/proc/{pid}/maps").read_text()), CompiledFunctions()
+        )
         self.anchor_search = AnchorSearch(tracees, self._forks, self._root, MARK)
         self._limit_s = _BEGIN_S
         took_s = sorted(self._golden_call_s() for _ in range(GOLDEN_CALLS))[GOLDEN_CALLS // 2]

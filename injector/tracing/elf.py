@@ -10,11 +10,18 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from injector.tracing.process import MemoryMap, MemoryMapping
+
+if TYPE_CHECKING:
+    from injector.tracing.compiled_functions import (
+        CompiledFunction,
+        CompiledFunctions,
+    )  # imports numba, which takes its time
 
 _PT_LOAD, _PT_NOTE = 1, 4
 _SHT_PROGBITS, _SHT_SYMTAB, _SHT_DYNSYM = 1, 2, 11
@@ -35,8 +42,9 @@ class CodeLocation:
     """A place in code that means the same in every run.
 
     ``offset`` is the virtual address that the ELF file gives the place, as objdump and addr2line
-    show it. For code in no file (compiled at run time), ``module`` is empty and ``offset`` is the
-    address itself, which repeats because address randomisation is off.
+    show it. In a function that numba has compiled, ``module`` says so, ``build_id`` is the function's
+    identity and ``offset`` counts from its beginning. For other code in no file, ``module`` is empty and
+    ``offset`` is the address itself, which repeats because address randomisation is off.
     """
 
     module: str
@@ -46,34 +54,59 @@ class CodeLocation:
 
 
 class CodeLocations:
-    """Where addresses of a process lie; each is found, and each file is read, but once."""
+    """Where addresses of a process lie; each is found, and each file is read, but once.
 
-    def __init__(self, pid: int, maps: MemoryMap) -> None:
-        self._pid, self._maps = pid, maps
+    ``compiled`` are the functions that numba compiled in a process that has parted from this one since.
+    """
+
+    def __init__(self, pid: int, maps: MemoryMap, compiled: CompiledFunctions | None = None) -> None:
+        self._pid, self._maps, self._compiled = pid, maps, compiled
         self._files: dict[str, _File] = {}
         self._found: dict[int, CodeLocation] = {}
+        self._mapping: MemoryMapping | None = None
 
     def at(self, address: int) -> CodeLocation:
         """Where an address lies; what the file does not tell is left empty."""
         if address not in self._found:
-            self._found[address] = self._find(address)
+            module, build_id, offset = self.named(address)
+            self._found[address] = CodeLocation(module, build_id, offset, self._symbol(address, offset))
         return self._found[address]
 
-    def _find(self, address: int) -> CodeLocation:
-        mapping = self._maps.at(address)
-        if mapping is None or not mapping.path:
-            return CodeLocation("", "", address, "")
-        if mapping.path not in self._files:
-            self._files[mapping.path] = _File(_content(self._pid, mapping.path))
-        file = self._files[mapping.path]
-        offset = file.virtual(address - mapping.start + mapping.offset)
-        name = Path(mapping.path).name.removesuffix(" (deleted)")
-        return CodeLocation(name, file.build_id, offset, file.symbol(offset))
+    def named(self, address: int) -> tuple[str, str, int]:
+        """Module, build id and offset of an address, quickly: an order that is the same in every process."""
+        mapping = self._mapping_of(address)
+        if mapping is not None and mapping.path:
+            file = self._file(mapping.path)
+            name = Path(mapping.path).name.removesuffix(" (deleted)")
+            return name, file.build_id, file.virtual(address - mapping.start + mapping.offset)
+        if function := self._function(address):
+            return function.module, function.identity, address - function.start
+        return "", "", address
+
+    def _symbol(self, address: int, offset: int) -> str:
+        mapping = self._mapping_of(address)
+        if mapping is not None and mapping.path:
+            return self._file(mapping.path).symbol(offset)
+        function = self._function(address)
+        return function.symbol if function is not None else ""
+
+    def _mapping_of(self, address: int) -> MemoryMapping | None:
+        if self._mapping is None or not self._mapping.start <= address < self._mapping.end:
+            self._mapping = self._maps.at(address)
+        return self._mapping
+
+    def _function(self, address: int) -> CompiledFunction | None:
+        return self._compiled.at(address) if self._compiled is not None else None
+
+    def _file(self, path: str) -> _File:
+        if path not in self._files:
+            self._files[path] = _File(_content(self._pid, path))
+        return self._files[path]
 
 
-def place(pid: int, maps: MemoryMap, address: int) -> CodeLocation:
+def place(pid: int, maps: MemoryMap, address: int, compiled: CompiledFunctions | None = None) -> CodeLocation:
     """Where one ``address`` lies; what the file does not tell is left empty."""
-    return CodeLocations(pid, maps).at(address)
+    return CodeLocations(pid, maps, compiled).at(address)
 
 
 class _File:
@@ -116,8 +149,18 @@ class _File:
         return ""
 
 
-def locate(pid: int, maps: MemoryMap, module: str, build_id: str, offset: int) -> int | None:
+def locate(
+    pid: int,
+    maps: MemoryMap,
+    module: str,
+    build_id: str,
+    offset: int,
+    compiled: CompiledFunctions | None = None,
+) -> int | None:
     """The address of what :func:`place` told; None if no such code is loaded."""
+    function = compiled.identified(module, build_id) if compiled is not None else None
+    if function is not None:
+        return function.start + offset
     if not module:
         return offset if maps.at(offset) is not None else None
     places = CodeLocations(pid, maps)

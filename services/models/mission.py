@@ -151,7 +151,8 @@ class Site(Strict):
     It is ``steps`` instructions after the ``hit``-th pass of the thread through ``offset`` of ``module``
     (no module: the address itself) since the call began; without a ``hit``, after the call's beginning.
     ``way`` is a quicker way to that pass.
-    ``code`` and ``registers`` are what must be found there before a bit is flipped; empty: not known yet.
+    ``code``, and ``registers`` or ``relative``, must be found there before a bit is flipped; empty: not
+    known yet.
     """
 
     precision: Literal["exact", "occurrence"] = Field(description="how exactly this is the drawn instruction")
@@ -164,6 +165,7 @@ class Site(Strict):
     steps: int = Field(default=0, ge=0)
     code: str = Field(default="", description="bytes of the instruction")
     registers: str = Field(default="", description="hash of those that it reads")
+    relative: str = Field(default="", description="the same hash, pointers told by what they point into")
 
 
 class Trigger(Strict):

@@ -79,6 +79,7 @@ class InjectionRecord(Strict):
     before: str = ""
     after: str = ""
     read_back: str = ""
+    points_into: str = Field(default="", description="what `before` points into, if it is a pointer")
     instruction_after: str = Field(default="", description="what was executed in its place")
     held_instructions: int = Field(default=0, description="for how many a bit was held")
     virtual_time_ns: int = 0

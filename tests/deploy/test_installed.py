@@ -15,7 +15,8 @@ import pytest
 
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
-from services.models.mission import MissionSpec
+from deploy.mission.golden_twin import PairFlyer
+from services.models.mission import FaultSpec, MissionSpec
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -81,7 +82,10 @@ def test_the_wheel_holds_every_file_of_the_product(wheel: Path) -> None:
 def test_a_flight_from_the_wheel_is_that_from_the_checkout(
     environment: Path, server: ForkServer, tmp_path: Path
 ) -> None:
+    spec = MissionSpec(world="sparse", seed=7, fault=FaultSpec(target="octomap", seed=3))
     here = fly(MissionSpec(world="sparse", seed=7), server).outcome
+    struck_here = PairFlyer(server).fly(spec)
+    assert struck_here.injection is not None
     share_what_numba_compiled(environment)
     surroundings = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
@@ -101,3 +105,13 @@ def test_a_flight_from_the_wheel_is_that_from_the_checkout(
     there = json.loads(answer("zenfi", "fly", "--world", "sparse", "--seed", "7", "--json"))
     assert here.result == there["result"] == "success"
     assert here.digest == there["digest"]
+
+    # Memory lies elsewhere in another installation; where a fault strikes and what comes of it do not change.
+    (tmp_path / "flight.json").write_text(struck_here.model_dump_json(by_alias=True))
+    fault = ("--fault", "instruction:octomap", "--fault-seed", "3")
+    struck_there = json.loads(answer("zenfi", "fly", "--world", "sparse", "--seed", "7", *fault, "--json"))
+    for name in ("module", "build_id", "offset", "register", "bits"):
+        assert struck_there["injection"][name] == struck_here.injection.model_dump(by_alias=True)[name]
+    assert struck_there["digest"] == struck_here.digest
+    told = json.loads(answer("zenfi", "replay", "flight.json", "--json"))
+    assert told["answer"] in ("replayed", "relocated")

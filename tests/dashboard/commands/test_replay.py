@@ -56,7 +56,7 @@ def test_a_campaign_of_the_store_is_replayed_by_its_label(flown: tuple[Path, str
     answer = zenfi("replay", "small-1", "--store", flown[0])
     assert (answer.returncode, answer.stderr) == (0, "passed over: 1 (1 golden)\n")
     (row,) = [line.split() for line in answer.stdout.splitlines() if line.split()[:1] == ["pid"]]
-    assert row == ["pid", "1", "1", "0", "0"]
+    assert row == ["pid", "1", "1", "0", "0", "0"]
     shown = zenfi("campaign", "show", "small-1", "--store", flown[0])
     assert "1 flown again, 1 replayed" in shown.stderr + shown.stdout
     told = json.loads(

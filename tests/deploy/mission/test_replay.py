@@ -14,7 +14,7 @@ from deploy.errors import DisturbedFlightError
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
-from deploy.mission.replay import replay
+from deploy.mission.replay import compare, replay
 from deploy.mission.setups import spec_for_stages
 from services.models.mission import FaultSpec, Limits, MissionSpec, Site, Trigger
 from services.models.outcome import Outcome
@@ -68,9 +68,53 @@ def test_an_injected_flight_repeats(first: Outcome, server: ForkServer) -> None:
 
 
 def test_nothing_is_flipped_where_the_site_looks_otherwise(first: Outcome, server: ForkServer) -> None:
-    answer = replay(altered(first, registers="00"), server)
+    answer = replay(altered(first, registers="00", relative="00"), server)
     assert answer.answer == "diverged"
     assert "registers" in answer.differences[0]
+
+
+def recorded(outcome: Outcome, registers: str, **changes: object) -> Outcome:
+    """The outcome with another record, of other registers at the site."""
+    record = outcome.injection
+    assert record is not None
+    assert record.trigger is not None
+    seen = site(outcome).model_copy(update={"registers": registers})
+    trigger = record.trigger.model_copy(update={"site": seen})
+    return outcome.model_copy(update={"injection": record.model_copy(update={**changes, "trigger": trigger})})
+
+
+def test_it_strikes_where_only_pointers_differ(first: Outcome, server: ForkServer) -> None:
+    """As where memory lies elsewhere: another hash of the registers, the same of what they point into."""
+    elsewhere = recorded(altered(first, registers="00"), "00")
+    answer = replay(elsewhere, server)
+    assert answer.answer == "relocated"
+    assert [told.partition(":")[0] for told in answer.differences] == ["registers at the site"]
+
+
+@pytest.mark.parametrize(
+    ("there", "changes", "expected"),
+    [
+        ("memory, 8 modulo 16", {}, "relocated"),
+        ("memory, 0 modulo 16", {}, "diverged"),
+        ("", {}, "diverged"),
+        ("memory, 8 modulo 16", {"bits": [3]}, "diverged"),
+        ("memory, 8 modulo 16", {"symbol": "other"}, "diverged"),
+    ],
+)
+def test_a_struck_pointer_may_differ_by_where_memory_lies_and_nothing_else_may(
+    first: Outcome, there: str, changes: dict[str, object], expected: str
+) -> None:
+    here = recorded(
+        first, "01", before="0a08", after="0a18", read_back="0a18", points_into="memory, 8 modulo 16"
+    )
+    other = recorded(first, "02", before="0b08", after="0b18", read_back="0b18", points_into=there, **changes)
+    assert compare(here, here).answer == "replayed"
+    assert compare(here, other).answer == expected
+
+
+def test_another_outcome_of_a_relocated_fault_is_a_divergence(first: Outcome) -> None:
+    other = recorded(first, "02").model_copy(update={"digest": "00"})
+    assert compare(recorded(first, "01"), other).answer == "diverged"
 
 
 def test_a_site_that_the_call_does_not_come_to_is_not_reached(first: Outcome, server: ForkServer) -> None:

@@ -13,7 +13,7 @@ from injector.kernel_study.checkpoints import BEGINNING, CheckpointRun, SamplePo
 from injector.kernel_study.instruction_index import Anchor, InstructionIndex, TraceSample, reach_of
 from injector.tracing import ptrace
 from services.runtime.rng import generator
-from tests.injector.flight.test_fingerprint import KERNELS
+from tests.injector.faults.test_drawn_sites import KERNELS
 from tests.injector.forked_calls import Standing, standing
 
 pytestmark = pytest.mark.usefixtures("may_inject")

@@ -14,7 +14,7 @@ from injector.tracing import ptrace
 from injector.tracing.ptrace import StopReport
 from injector.tracing.tracee import Tracee
 from tests.conftest import alive, wait_until
-from tests.injector.flight.test_fingerprint import KERNELS
+from tests.injector.faults.test_drawn_sites import KERNELS
 from tests.injector.forked_calls import standing
 
 pytestmark = pytest.mark.usefixtures("may_inject")
