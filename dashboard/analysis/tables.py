@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 
 from rich.table import Table
 
+from dashboard.campaigns.flight_record import Result
 from dashboard.campaigns.forecast import Forecast
 from dashboard.campaigns.presets import CampaignPreset
 from dashboard.campaigns.results.compare import Comparison
+from dashboard.campaigns.results.detection_effects import EFFECTS, Effect, effect
 from dashboard.campaigns.results.summary import CellSummary
 from dashboard.campaigns.statistics.proportions import Interval
 from injector.capabilities import Capability
@@ -47,7 +49,7 @@ def outcome(one: Outcome) -> Table:
         told = [*report.causes, *_counted(report)]
         table.add_row(stage, report.result + (f" ({', '.join(told)})" if told else ""))
     if one.detection is not None:
-        table.add_row("detection", _detection(one.detection))
+        table.add_row("detection", _detection(one.detection, effect(Result.of(one))))
     if one.refused_messages:
         table.add_row("messages not recorded", str(one.refused_messages))
     if one.injection is not None:
@@ -101,9 +103,10 @@ def _counted(report: NodeReport) -> list[str]:
     return [f"{count} {name}" for name, count in counts.items() if count]
 
 
-def _detection(report: DetectionReport) -> str:
+def _detection(report: DetectionReport, made: Effect | None) -> str:
     true = sum(alarm.true for alarm in report.alarms)
-    lines = [
+    lines = [f"the fault was {made}"] if made is not None else []
+    lines += [
         f"alarms: {true} true, {len(report.alarms) - true} false; {report.checks} checks",
         f"{report.detection_share:.4%} of the time, recomputation {report.recomputation_share:.2%}",
     ]
@@ -151,9 +154,8 @@ def campaign(name: str, summary: Sequence[CellSummary]) -> Table:
         table.add_column(column, justify="right")
     many_worlds = len({line.world for line in summary}) > 1
     for line in summary:
-        parts = (line.arm, line.world if many_worlds else "", line.fault)
         table.add_row(
-            " ".join(part for part in parts if part),
+            _named(line, many_worlds),
             f"{line.successes}/{line.runs - line.failed_to_fly}",
             f"{100 * line.success_low:.0f}-{100 * line.success_high:.0f}",
             *(_cell(value) for value in (line.flight_time_s, line.distance_m, line.energy_kj, line.replans)),
@@ -161,6 +163,32 @@ def campaign(name: str, summary: Sequence[CellSummary]) -> Table:
             *(str(line.results.get(result, 0)) if line.aimed else "-" for result in NODE_RESULTS),
         )
     return table
+
+
+def effects(summary: Sequence[CellSummary]) -> Table | None:
+    """What detectors made of the faults, per cell; None if no fault met one. Fits 80 columns."""
+    watched = [line for line in summary if line.effects]
+    if not watched:
+        return None
+    table = Table(
+        title="what detectors made of the faults",
+        caption="unaffected: every message as the golden twin's. missed: messages differ, no alarm. "
+        "caught: an alarm. recovered: caught, recomputed, nearer the twin than without a detector.",
+        box=None,
+        padding=(0, 1, 0, 0),
+    )
+    table.add_column("arm")
+    for word in EFFECTS:
+        table.add_column(word, justify="right")
+    many_worlds = len({line.world for line in summary}) > 1
+    for line in watched:
+        table.add_row(_named(line, many_worlds), *(str(line.effects.get(word, 0)) for word in EFFECTS))
+    return table
+
+
+def _named(line: CellSummary, many_worlds: bool) -> str:
+    parts = (line.arm, line.world if many_worlds else "", line.fault)
+    return " ".join(part for part in parts if part)
 
 
 def campaigns(lines: Sequence[Mapping[str, object]]) -> Table:

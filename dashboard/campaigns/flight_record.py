@@ -13,6 +13,8 @@ class Result:
     """What the store keeps of an outcome beside the outcome itself.
 
     ``node`` is the node aimed at and ``node_result`` what became of it; empty in a flight without a fault.
+    ``alarms`` counts the detector's after the fault, None without a detector, and ``recomputed`` those of
+    them after which an output was made again.
     """
 
     result: str
@@ -30,6 +32,9 @@ class Result:
     twin_flight_time_s: float | None
     twin_distance_m: float | None
     twin_energy_kj: float | None
+    twin_digest: str
+    alarms: int | None
+    recomputed: int
     digest: str
     wall_s: float
 
@@ -38,6 +43,9 @@ class Result:
         """The columns that are stored of an outcome."""
         qof, record, twin = outcome.qof, outcome.injection, outcome.golden
         aimed = outcome.nodes.get(record.node) if record is not None else None
+        alarms = (
+            [one for one in outcome.detection.alarms if one.true] if outcome.detection is not None else None
+        )
         return cls(
             result=outcome.result,
             success=qof.success,
@@ -54,6 +62,9 @@ class Result:
             twin_flight_time_s=twin.qof.flight_time_s if twin is not None else None,
             twin_distance_m=twin.qof.distance_m if twin is not None else None,
             twin_energy_kj=twin.qof.energy_kj if twin is not None else None,
+            twin_digest=twin.digest if twin is not None else "",
+            alarms=len(alarms) if alarms is not None else None,
+            recomputed=sum(one.action == "recomputed" for one in alarms or ()),
             digest=outcome.digest,
             wall_s=outcome.wall_s,
         )

@@ -192,6 +192,19 @@ def stacks(campaign: CampaignSpec) -> list[OwnStack]:
     return [mission.stack for _, mission in _missions(one_world) if mission.stack is not None]
 
 
+def unprotected_arms(campaign: CampaignSpec) -> dict[str, str]:
+    """For each arm with a detector, the arm that flies the same without one; where there is none, none."""
+    one_world = campaign.model_copy(update={"worlds": ()})
+    watched, bare = {}, {}
+    for arm, mission in _missions(one_world):
+        same = mission.model_copy(update={"detector": None}).model_dump_json(), arm.fault
+        if mission.detector is not None:
+            watched[arm.name] = same
+        else:
+            bare[same] = arm.name
+    return {arm: bare[same] for arm, same in watched.items() if same in bare}
+
+
 def _flown(campaign: CampaignSpec) -> list[tuple[Arm, Condition, MissionSpec]]:
     """The cells of a campaign: arm, fault and mission of each."""
     return [

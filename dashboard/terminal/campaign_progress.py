@@ -122,6 +122,8 @@ def tell(campaign: Campaign, phase: str, lines: list[CellSummary], as_json: bool
         click.echo(json.dumps(told))
     else:
         Console().print(tables.campaign(campaign.label, lines))
+        if (made := tables.effects(lines)) is not None:
+            Console().print(made)
     if svg is not None:
         paper = Console(record=True, file=StringIO(), width=PICTURE_COLUMNS)
         paper.print(tables.campaign(campaign.spec.name, lines))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 from dashboard.campaigns.flight_record import FlightRecord, Result
+from dashboard.campaigns.results.detection_effects import EFFECTS
 from dashboard.campaigns.results.summary import CellSummary
 from dashboard.campaigns.spec import Cell
 from deploy.config.check import BadSpecError
@@ -51,11 +52,11 @@ SUMMARY: dict[str, type] = {
     **{
         name: _plain(field.annotation)
         for name, field in CellSummary.model_fields.items()
-        if name != "results"
+        if name not in ("results", "effects")
     },
-    **dict.fromkeys(get_args(NodeResult), int),
+    **dict.fromkeys((*get_args(NodeResult), *EFFECTS), int),
 }
-"""The same of the table of cells; what became of nodes is counted in a column each."""
+"""The same of the table of cells; what became of nodes and what detectors made of faults has columns each."""
 
 
 def write(records: Iterable[FlightRecord], path: Path) -> None:
@@ -75,8 +76,9 @@ def write_summary(lines: Iterable[CellSummary], path: Path) -> None:
 
 
 def _cell(line: CellSummary) -> dict[str, object]:
-    counts = {name: line.results.get(name, 0) for name in get_args(NodeResult)}
-    return line.model_dump(exclude={"results"}) | counts
+    counts: dict[str, object] = {name: line.results.get(name, 0) for name in get_args(NodeResult)}
+    counts |= {word: line.effects.get(word) for word in EFFECTS}
+    return line.model_dump(exclude={"results", "effects"}) | counts
 
 
 def _write(columns: Columns, table: Iterable[dict[str, object]], path: Path) -> None:

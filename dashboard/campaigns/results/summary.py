@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from pydantic import Field
 
 from dashboard.campaigns.flight_record import FlightRecord, Result
-from dashboard.campaigns.spec import Cell, cells
+from dashboard.campaigns.results.detection_effects import EFFECTS, Effect, effects
+from dashboard.campaigns.spec import Cell, cells, unprotected_arms
 from dashboard.campaigns.statistics.proportions import median_interval, wilson
 from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.store import Store
@@ -43,22 +44,28 @@ class CellSummary(Strict):
     aimed: int = Field(description="flown with a fault")
     injected: int = Field(description="of those, the fault was there when read back")
     results: dict[str, int] = Field(description="of the node aimed at, of the injected flights")
+    effects: dict[Effect, int] = Field(description="what the detector made of the faults, if there is one")
 
 
 def summary(store: Store, found: Campaign) -> list[CellSummary]:
     """What a campaign has found so far."""
-    return summarise(cells(found.spec), store.records(found))
+    return summarise(cells(found.spec), store.records(found), unprotected_arms(found.spec))
 
 
-def summarise(cells: Sequence[Cell], records: Iterable[FlightRecord]) -> list[CellSummary]:
-    """One line per cell, in the order of ``cells``."""
+def summarise(
+    cells: Sequence[Cell], records: Iterable[FlightRecord], unprotected: Mapping[str, str]
+) -> list[CellSummary]:
+    """One line per cell, in the order of ``cells``; ``unprotected`` is each arm's arm without a detector."""
     found: dict[Cell, list[FlightRecord]] = {cell: [] for cell in cells}
     for record in records:
         found[record.cell].append(record)
-    return [_summary(cell, runs) for cell, runs in found.items()]
+    made: dict[Cell, Counter[Effect]] = {cell: Counter() for cell in cells}
+    for record, word in effects((one for runs in found.values() for one in runs), unprotected):
+        made[record.cell][word] += 1
+    return [_summary(cell, runs, made[cell]) for cell, runs in found.items()]
 
 
-def _summary(cell: Cell, records: Sequence[FlightRecord]) -> CellSummary:
+def _summary(cell: Cell, records: Sequence[FlightRecord], made: Counter[Effect]) -> CellSummary:
     flown = [record.result for record in records if record.result is not None]
     failed = sum(record.phase == "failed" for record in records)
     arrived = [result for result in flown if result.success]
@@ -80,6 +87,7 @@ def _summary(cell: Cell, records: Sequence[FlightRecord]) -> CellSummary:
         aimed=sum(result.injection != "" for result in flown),
         injected=len(injected),
         results=_counted(injected),
+        effects={word: made[word] for word in EFFECTS if made},
     )
 
 

@@ -93,6 +93,9 @@ class ResultRow(Base):
     twin_flight_time_s: Mapped[float | None]
     twin_distance_m: Mapped[float | None]
     twin_energy_kj: Mapped[float | None]
+    twin_digest: Mapped[str] = mapped_column(default="", server_default="")
+    alarms: Mapped[int | None]
+    recomputed: Mapped[int] = mapped_column(default=0, server_default="0")
     digest: Mapped[str]
     wall_s: Mapped[float]
     outcome: Mapped[str] = mapped_column(Text)

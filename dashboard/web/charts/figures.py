@@ -10,7 +10,7 @@ import numpy as np
 
 from dashboard.campaigns.flight_record import FlightRecord
 from dashboard.campaigns.results.summary import CellSummary, summarise
-from dashboard.campaigns.spec import Cell, cells
+from dashboard.campaigns.spec import Cell, cells, unprotected_arms
 from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.store import Store
 
@@ -56,7 +56,7 @@ def figures(store: Store, found: Campaign) -> Figures:
     """Compute the summary and the points of a campaign."""
     order = cells(found.spec)
     records = list(store.records(found))
-    return Figures(summarise(order, records), flights(order, records))
+    return Figures(summarise(order, records, unprotected_arms(found.spec)), flights(order, records))
 
 
 def flights(order: Sequence[Cell], records: Sequence[FlightRecord]) -> list[CellFlights]:

@@ -58,6 +58,7 @@ def quality_table() -> ui.table:
             ("replans", "replans"),
             ("hit", "hit"),
             ("nodes", "injected node"),
+            ("effects", "detector"),
         )
     )
 
@@ -85,6 +86,7 @@ def _quality(label: str, one: CellSummary) -> Row:
         "replans": _number(one.replans),
         "hit": f"{one.injected} of {one.aimed}" if one.aimed else "-",
         "nodes": ", ".join(f"{count} {name}" for name, count in one.results.items()) or "-",
+        "effects": ", ".join(f"{count} {word}" for word, count in one.effects.items() if count) or "-",
     }
 
 

@@ -15,7 +15,10 @@ from dashboard.api.routes.flights import NewFlight, create_flight
 from dashboard.api.routes.recordings import Recordings, record_run, recordings
 from dashboard.api.routes.runs import RunId, read_run, replay_run
 from dashboard.api.service import Service
+from dashboard.campaigns.flight_record import Result
+from dashboard.campaigns.results.detection_effects import effect
 from dashboard.campaigns.results.related_runs import RelatedRun, related_runs, same_flights
+from dashboard.campaigns.spec import unprotected_arms
 from dashboard.campaigns.store.listing import StoredRun
 from dashboard.campaigns.store.queries import Campaign
 from dashboard.web.components.frame import REFUSED, absent, ask, find, frame, nothing, section, told, trouble
@@ -62,7 +65,7 @@ class RunPage:
         self._ways(others)
         with ui.element("div").classes("panels"):
             with section("What was asked for"):
-                self._about()
+                self._about(await ask(self._effect, others))
             if outcome is not None:
                 _quality(outcome)
         if outcome is None:
@@ -92,7 +95,17 @@ class RunPage:
                     f"/campaigns/{quote(self._campaign.label, safe='')}/runs/{one.id}",
                 )
 
-    def _about(self) -> None:
+    def _effect(self, others: list[RelatedRun]) -> str:
+        """What the detector made of the fault, in a word."""
+        outcome = self._stored.outcome
+        if outcome is None:
+            return ""
+        bare = unprotected_arms(self._campaign.spec).get(self._stored.arm)
+        beside = next((one.id for one in others if one.arm == bare), None)
+        other = None if beside is None else read_run(self._service, self._campaign, beside).outcome
+        return effect(Result.of(outcome), Result.of(other) if other is not None else None) or ""
+
+    def _about(self, made: str) -> None:
         stored = self._stored
         facts(
             {
@@ -105,6 +118,7 @@ class RunPage:
                 "Error": stored.error,
                 "Mission": f"{stored.spec.mission}, planner {stored.spec.planner}, {stored.spec.clock}",
                 "Detector": _detector(stored),
+                "The fault was": made,
             }
         )
 

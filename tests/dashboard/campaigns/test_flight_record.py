@@ -41,6 +41,9 @@ def result(
         twin_flight_time_s=20.0 if faulty else None,
         twin_distance_m=50.0 if faulty else None,
         twin_energy_kj=10.0 if faulty else None,
+        twin_digest="twin" if faulty else "",
+        alarms=None,
+        recomputed=0,
         digest="",
         wall_s=1.0,
     )
@@ -66,7 +69,7 @@ FLIPS = records(
 
 
 def test_every_denominator_is_shown() -> None:
-    golden, flip = summarise([GOLDEN, FLIP], [*records(GOLDEN, [result()] * 4), *FLIPS])
+    golden, flip = summarise([GOLDEN, FLIP], [*records(GOLDEN, [result()] * 4), *FLIPS], {})
     assert (golden.runs, golden.successes, golden.aimed) == (4, 4, 0)
     assert (flip.planned, flip.runs, flip.failed_to_fly) == (5, 5, 1)
     assert (flip.success_low, flip.success_high) == wilson(3, 4)
@@ -77,7 +80,7 @@ def test_every_denominator_is_shown() -> None:
 
 
 def test_a_cell_without_flights_knows_nothing() -> None:
-    (one,) = summarise([GOLDEN], [])
+    (one,) = summarise([GOLDEN], [], {})
     assert (one.runs, one.success_low, one.success_high, one.flight_time_s) == (0, 0.0, 1.0, None)
 
 
@@ -138,7 +141,7 @@ def test_tables_fit_a_terminal() -> None:
     )
     for table in (
         tables.comparison("x-1", compare(with_twins(wide))),
-        tables.campaign("x-1", summarise([FLIP], wide)),
+        tables.campaign("x-1", summarise([FLIP], wide, {})),
     ):
         paper = Console(file=StringIO(), width=200)
         paper.print(table)

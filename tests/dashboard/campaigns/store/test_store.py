@@ -232,7 +232,8 @@ def test_sites_and_records_of_an_older_form_keep_their_precision(
                     sa.text(f"UPDATE {table} SET {column} = :text WHERE {key} = :number"),  # noqa: S608 - ours
                     {"text": json.dumps(older(document)), "number": number},
                 )
-        connection.execute(sa.text("ALTER TABLE results DROP COLUMN replay"))
+        for column in ("replay", "twin_digest", "alarms", "recomputed"):
+            connection.execute(sa.text(f"ALTER TABLE results DROP COLUMN {column}"))
         connection.execute(sa.text("UPDATE alembic_version SET version_num = '0003'"))
         assert documents(connection) != before
     with closing(Store(where)) as store:

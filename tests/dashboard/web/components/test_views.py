@@ -38,6 +38,9 @@ RESULT = Result(
     twin_flight_time_s=None,
     twin_distance_m=None,
     twin_energy_kj=None,
+    twin_digest="",
+    alarms=None,
+    recomputed=0,
     digest="",
     wall_s=1.0,
 )
