@@ -8,6 +8,7 @@ it; even on which files lie beside the packages that it imports. So all of that 
 
 from __future__ import annotations
 
+import filecmp
 import importlib.util
 import os
 import resource
@@ -110,7 +111,18 @@ def _own_folder() -> list[str]:
 
 def command(module: str, *arguments: str) -> list[str]:
     """The command that runs ``module`` so."""
-    return [sys.executable, "-P", "-m", "injector.reproducible.launch", module, *arguments]
+    return [_interpreter(), "-P", "-m", "injector.reproducible.launch", module, *arguments]
+
+
+def _interpreter() -> str:
+    """The path of this Python, by the same one of its names whichever it was started by.
+
+    A process keeps its path in memory, and so do many objects of the interpreter.
+    """
+    own = Path(sys.executable)
+    names = (own.parent.resolve() / name for name in ("python3", "python"))
+    # An environment may have links or copies.
+    return str(next((one for one in names if one.exists() and filecmp.cmp(one, own)), own))
 
 
 def begin_again_to_compile(stdin: int = 0) -> None:
@@ -164,7 +176,7 @@ def _begin_again(mark: int, stdin: int) -> None:
     surroundings = {b"PYTHONPATH" if name == _PATH.encode() else name: value for name, _, value in entries}
     surroundings[_COMPILED.encode()] = os.fsencode(compiled_code.folder().parent)
     whole = [*command(os.fsdecode(arguments[0])), *map(os.fsdecode, arguments[1:])]
-    os.execve(sys.executable, whole, surroundings)  # noqa: S606 - our own interpreter and module
+    os.execve(whole[0], whole, surroundings)  # noqa: S606 - our own interpreter and module
 
 
 def _is_open(descriptor: int) -> bool:

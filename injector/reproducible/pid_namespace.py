@@ -33,15 +33,14 @@ def begin() -> int:
     To be passed to :func:`injector.reproducible.fork_loop.fork_on_order`.
 
     ``NOWHERE`` if that is not allowed. Root makes namespaces as it likes, and whoever may not, within a user
-    namespace. In the latter case this process waits from here on, dies with the one that goes on in its
-    place, and the other way round. It has one thread.
+    namespace. This process waits from here on, dies with the one that goes on in its place, and the other
+    way round. It has one thread.
     """
     return _begin() if is_allowed() else NOWHERE
 
 
 def _begin() -> int:
-    if not answered_by_a_fork(_is_privileged):
-        _go_on_in_a_user_namespace()
+    _go_on_in_a_fork(in_user_namespace=not answered_by_a_fork(_is_privileged))
     home = os.open("/proc/self/ns/pid", os.O_RDONLY | os.O_CLOEXEC)
     # Nothing is done for the first time when a process is forked: all are to begin with the same memory.
     checked(libc.unshare(0))
@@ -77,24 +76,34 @@ def _is_privileged() -> bool:
     return bool(effective >> _CAP_SYS_ADMIN & effective >> _CAP_SYS_PTRACE & 1)
 
 
-def _go_on_in_a_user_namespace() -> None:
-    """Go on in a fork, in a user namespace of ours: the user outside may do there whatever root may.
+def _go_on_in_a_fork(*, in_user_namespace: bool) -> None:
+    """Go on in a fork, in a user namespace if need be: the user outside may do there whatever root may.
+
+    Root does all that others do, so that nodes have the same memory, whoever the user is.
 
     :raises OSError: if that is forbidden; of root, who would lose its power over the files of others.
     """
-    user, group = os.getuid(), os.getgid()
-    if not user:
+    if in_user_namespace and not os.getuid():
         raise PermissionError("root without its capabilities has no use for a user namespace")
-    checked(libc.unshare(_NEWUSER | NEWPID))
-    maps = {"setgroups": "deny", "uid_map": f"{user} {user} 1", "gid_map": f"{group} {group} 1"}
-    for name, text in maps.items():
-        Path(f"/proc/self/{name}").write_text(text)
+    checked(libc.unshare(_NEWUSER if in_user_namespace else 0))
+    if not answered_by_a_fork(_keep_ids_of_parent if in_user_namespace else lambda: True):
+        raise PermissionError("the ids of a user namespace cannot be set")
+    checked(libc.unshare(NEWPID))
     pid = os.fork()
     if pid:
         status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         os._exit(status if status >= 0 else os.EX_SOFTWARE)
     die_with_parent()
     libc.prctl(_PR_SET_NAME, CALLER.encode())
+
+
+def _keep_ids_of_parent() -> bool:
+    """Give our parent, in the user namespace that it has just made, the ids that it has outside."""
+    user, group, parent = os.getuid(), os.getgid(), Path(f"/proc/{os.getppid()}")
+    (parent / "setgroups").write_text("deny")
+    (parent / "uid_map").write_text(f"{user} {user} 1")
+    (parent / "gid_map").write_text(f"{group} {group} 1")
+    return True
 
 
 if __name__ == "__main__":

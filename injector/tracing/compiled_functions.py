@@ -18,6 +18,8 @@ from numba.core.registry import cpu_target
 from injector.tracing.process import MemoryMap
 
 _WORD = re.compile(r"(\d+)(\w+)")
+_ADDRESS = re.compile(r"_0x[0-9a-f]+")
+"""Where the compiler had an array expression in memory; such names have a number of their own, too."""
 _LOCAL = re.compile(r"_3c(\w+?)_3e")
 
 
@@ -35,7 +37,7 @@ class CompiledFunction(NamedTuple):
     @property
     def identity(self) -> str:
         """What tells functions apart, alike in each installation: a hash of the name, hexadecimal."""
-        return hashlib.blake2b(self.name.encode(), digest_size=20).hexdigest()
+        return hashlib.blake2b(_ADDRESS.sub("", self.name).encode(), digest_size=20).hexdigest()
 
     @property
     def symbol(self) -> str:

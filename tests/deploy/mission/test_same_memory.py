@@ -8,15 +8,18 @@ import sys
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
 from deploy.mission.fork_server import ForkServer
+from injector.reproducible.pid_namespace import CALLER
 from services.system.process_stat import process_stat
-from tests.conftest import wait_until
+from tests.conftest import descendants, wait_until
 from tests.process_memory import Memory, different, load, memory, save
 
 ROOT = Path(__file__).parents[3]
+NOBODY = 65534
 FEW = 8
 """Words beyond the usual ones: on which processor it runs, and another digit of a number."""
 
@@ -25,7 +28,8 @@ def tell(file: str) -> None:
     """Write the memory of a fork server's process, from which all nodes are forked, to a file."""
     with closing(ForkServer()) as server:
         wait_until(lambda: process_stat(server.pid).state == "S")
-        save(memory(server.pid, stack=False), Path(file))
+        goes_on = [pid for pid, name in descendants(server.pid).items() if name == CALLER]
+        save(memory(goes_on[0] if server.fixed_pids else server.pid, stack=False), Path(file))
 
 
 def told(
@@ -34,18 +38,23 @@ def told(
     folder: Path = ROOT,
     prepare: Callable[[], None] = lambda: None,
     output: int | None = None,
+    python: str = sys.executable,
+    user: int | None = None,
 ) -> Memory:
     program = (
         f"import sys; sys.path.insert(0, {str(ROOT)!r}); from {__name__} import tell; tell({str(file)!r})"
     )
     subprocess.run(
-        [sys.executable, "-c", program],
+        [python, "-c", program],
         env=environment,
         cwd=folder,
         preexec_fn=prepare,
         stdin=subprocess.DEVNULL,
         stdout=output,
         check=True,
+        user=user,
+        group=user,
+        extra_groups=None if user is None else [],
     )
     return load(file)
 
@@ -99,6 +108,35 @@ def test_in_another_shell(plain: tuple[Memory, set[int]], tmp_path: Path) -> Non
 def test_in_another_kind_of_process(plain: tuple[Memory, set[int]], tmp_path: Path) -> None:
     one, usual = plain
     other = told(tmp_path / "memory", prepare=be_another_process, output=subprocess.PIPE)
+    assert len(different(one, other, numbers=False) - usual) <= FEW
+
+
+def test_from_python_by_another_of_its_names(plain: tuple[Memory, set[int]], tmp_path: Path) -> None:
+    """A script that pip installs names ``python3``, a shell perhaps ``python``."""
+    one, usual = plain
+    own = Path(sys.executable)
+    names = {own.with_name(name) for name in ("python", "python3")} - {own}
+    other = told(tmp_path / "memory", python=str(names.pop()))
+    assert len(different(one, other, numbers=False) - usual) <= FEW
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can be another user")
+def test_of_another_account(plain: tuple[Memory, set[int]]) -> None:
+    """Root makes namespaces as it likes, others need one for users first; each has its own compiled code."""
+    one, usual = plain
+    same = "import os, sys; sys.exit([sys.version, os.__file__] != sys.argv[1:])"
+    asked = subprocess.run(
+        [sys.executable, "-c", same, sys.version, os.__file__],
+        cwd="/",
+        user=NOBODY,
+        capture_output=True,
+        check=False,
+    )
+    if asked.returncode:
+        pytest.skip("another user may not run this Python: its folder is closed")
+    with TemporaryDirectory() as folder:
+        Path(folder).chmod(0o777)
+        other = told(Path(folder) / "memory", in_another_shell(Path(folder)), Path("/"), user=NOBODY)
     assert len(different(one, other, numbers=False) - usual) <= FEW
 
 

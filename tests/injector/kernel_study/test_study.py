@@ -19,7 +19,7 @@ from tests.injector.programs import state
 
 pytestmark = pytest.mark.usefixtures("may_inject")
 
-FAULT = FaultSpec(target="pid")
+FAULT = FaultSpec(target="pid", scope="thread")
 
 
 @pytest.fixture

@@ -65,6 +65,14 @@ def test_what_is_no_compiled_code_is_none_of_the_functions(functions: CompiledFu
     assert [functions.at(address) for address in (0, heap, library.start, 2**64 - 1)] == [None] * 4
 
 
+def test_where_the_compiler_had_an_expression_does_not_count() -> None:
+    names = [
+        f"_ZN13_3cdynamic_3e33__numba_array_expr_0x7fffdb{end}90B4v167B72c8t" for end in ("dba3", "e12f")
+    ]
+    one, other = (CompiledFunction(0, name) for name in names)
+    assert one.identity == other.identity != CompiledFunction(0, names[0].replace("v167", "v168")).identity
+
+
 def test_a_local_functions_name_is_written_as_python_writes_it() -> None:
     name = "_ZN5numba2np8arrayobj12impl_np_full12_3clocals_3e4fullB2v8B42c8tJTI"
     assert CompiledFunction(0, name).symbol == "numba.np.arrayobj.impl_np_full.<locals>.full"
