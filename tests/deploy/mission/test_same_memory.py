@@ -21,7 +21,7 @@ from tests.process_memory import Memory, different, load, memory, save
 ROOT = Path(__file__).parents[3]
 NOBODY = 65534
 OF_A_USER = 40
-"""Words with a user's number, and with how often small numbers are referred to; a shift would be thousands."""
+"""Words with a user's number, and with how often small numbers are referred to. A shift is thousands."""
 FEW = 8
 """Words beyond the usual ones: on which processor it runs, and another digit of a number."""
 
