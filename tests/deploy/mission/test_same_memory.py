@@ -29,9 +29,10 @@ FEW = 8
 def tell(file: str) -> None:
     """Write the memory of a fork server's process, from which all nodes are forked, to a file."""
     with closing(ForkServer()) as server:
-        wait_until(lambda: process_stat(server.pid).state == "S")
         goes_on = [pid for pid, name in descendants(server.pid).items() if name == CALLER]
-        save(memory(goes_on[0] if server.fixed_pids else server.pid, stack=False), Path(file))
+        pid = goes_on[0] if server.fixed_pids else server.pid
+        wait_until(lambda: process_stat(pid).state == "S")
+        save(memory(pid, stack=False), Path(file))
 
 
 def told(
