@@ -123,6 +123,7 @@ def test_from_python_by_another_of_its_names(plain: tuple[Memory, set[int]], tmp
     assert len(different(one, other, numbers=False) - usual) <= FEW
 
 
+@pytest.mark.soak
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can be another user")
 def test_of_another_account(plain: tuple[Memory, set[int]]) -> None:
     """Root makes namespaces as it likes, others need one for users first; each has its own compiled code."""
