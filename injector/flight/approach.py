@@ -94,7 +94,7 @@ class NodeApproach(Approach):
             return True if self.thread.report is not None and self.thread.report.kind == "gate" else None
 
         if self.call.marked and not wait_until(there, self.limit_s):
-            raise MissedError("failed", "the target never began the call")
+            raise TimeoutError(f"the target did not begin the call within {self.limit_s:g} s")
 
     def _to_the_entry(self) -> None:
         with Breakpoint(self.thread, self.call.entry, 1):
@@ -214,6 +214,10 @@ class NodeApproach(Approach):
         return await_trap(self.tracees, self.thread, self.call.finished, self.limit_s, insist)
 
     def _lost(self, end: Literal["gone", "late"]) -> MissedError:
+        """What to raise where the thread did not come to the place.
+
+        :raises TimeoutError: if it neither came nor ended: no result of the fault, but our failure.
+        """
         if end == "gone":
             return MissedError("failed", "the target died before the fault")
-        return MissedError("failed", f"neither the moment nor the call's end within {self.limit_s:g} s")
+        raise TimeoutError(f"neither the moment nor the call's end came within {self.limit_s:g} s")

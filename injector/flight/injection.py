@@ -39,6 +39,7 @@ def inject(
     :raises IdentityError: if a process is not what it was announced as, or the target is gone.
     :raises NotPermittedError, TriggerError: if the kernel forbids tracing or timing.
     :raises StopError: if a thread cannot be stopped.
+    :raises TimeoutError: if the target comes neither to the place nor to the call's end within the limit.
     :raises ValueError: if the fault has no trigger that says where.
     """
     trigger = fault.trigger

@@ -20,6 +20,7 @@ from services.bus.announce import Announcement, announcement, boot_id, start_tic
 from services.models.mission import FaultSpec, Trigger
 from services.models.outcome import InjectionRecord
 from services.runtime.rng import generator
+from tests.conftest import alive
 from tests.injector.doomed import PERIOD_NS
 from tests.injector.programs import PATIENCE_S, Target, TargetEndedError, assemble, clock_ns, running, state
 
@@ -276,6 +277,17 @@ def test_thread_time_counts_between_the_marks_of_a_call(cpu_ns: int, status: set
     record = inject_into(call, [], fault(register_class="vector", cpu_ns=cpu_ns), generator(0, "test"))
     assert record.status in status
     assert process.communicate()[0] == b"ended\n"
+
+
+def test_a_target_that_comes_to_neither_place_nor_end_is_no_result_but_an_error() -> None:
+    with running(assemble([MOVE])) as target:
+        target.start({"rcx": VALUE})
+        call = KernelCall(target.announcement(), 0, lambda: None)
+        never = fault(cpu_ns=10**15)
+        with pytest.raises(TimeoutError, match=r"within 0\.3 s"):
+            inject_into(call, [], never, generator(0, "test"), limit_s=0.3)
+        assert tracer_of(target.pid) == 0
+        assert alive(target.pid)
 
 
 def test_a_fault_without_a_trigger_is_refused() -> None:
