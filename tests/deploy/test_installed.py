@@ -60,19 +60,6 @@ def site_packages(environment: Path) -> Path:
     return Path(sysconfig.get_path("purelib", "venv", {"base": str(environment)}))
 
 
-def share_what_numba_compiled(environment: Path) -> None:
-    """That takes a minute. It counts for a source of the same size and time."""
-    for cached in ROOT.glob("*/**/__pycache__/*.nb?"):
-        folder = cached.parent.relative_to(ROOT)
-        if folder.parts[0] in PACKAGES:
-            (site_packages(environment) / folder).mkdir(exist_ok=True)
-            shutil.copy(cached, site_packages(environment) / folder)
-    for installed in (
-        source for name in PACKAGES for source in (site_packages(environment) / name).rglob("*.py")
-    ):
-        shutil.copystat(ROOT / installed.relative_to(site_packages(environment)), installed)
-
-
 def test_the_wheel_holds_every_file_of_the_product(wheel: Path) -> None:
     packed = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
     files = (file for name in PACKAGES for file in (ROOT / name).rglob("*") if file.is_file())
@@ -86,7 +73,6 @@ def test_a_flight_from_the_wheel_is_that_from_the_checkout(
     here = fly(MissionSpec(world="sparse", seed=7), server).outcome
     struck_here = PairFlyer(server).fly(spec)
     assert struck_here.injection is not None
-    share_what_numba_compiled(environment)
     surroundings = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
     def answer(*command: str) -> str:
