@@ -13,7 +13,6 @@ from zipfile import ZipFile
 
 import pytest
 
-from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from services.models.mission import FaultSpec, MissionSpec
@@ -70,9 +69,9 @@ def test_a_flight_from_the_wheel_is_that_from_the_checkout(
     environment: Path, server: ForkServer, tmp_path: Path
 ) -> None:
     spec = MissionSpec(world="sparse", seed=7, fault=FaultSpec(target="octomap", seed=3))
-    here = fly(MissionSpec(world="sparse", seed=7), server).outcome
-    struck_here = PairFlyer(server).fly(spec)
-    assert struck_here.injection is not None
+    here = PairFlyer(server).fly(spec)
+    assert here.injection is not None
+    assert here.golden is not None
     surroundings = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
     def answer(*command: str) -> str:
@@ -88,16 +87,15 @@ def test_a_flight_from_the_wheel_is_that_from_the_checkout(
 
     where = answer("python", "-c", "import services, sim; print(services.__file__, sim.__file__)").split()
     assert all(Path(file).is_relative_to(site_packages(environment)) for file in where)
-    there = json.loads(answer("zenfi", "fly", "--world", "sparse", "--seed", "7", "--json"))
-    assert here.result == there["result"] == "success"
-    assert here.digest == there["digest"]
+    fault = ("--fault", "instruction:octomap", "--fault-seed", "3")
+    there = json.loads(answer("zenfi", "fly", "--world", "sparse", "--seed", "7", *fault, "--json"))
+    assert here.golden.result == there["golden"]["result"] == "success"
+    assert here.golden.digest == there["golden"]["digest"]
 
     # Memory lies elsewhere in another installation; where a fault strikes and what comes of it do not change.
-    (tmp_path / "flight.json").write_text(struck_here.model_dump_json(by_alias=True))
-    fault = ("--fault", "instruction:octomap", "--fault-seed", "3")
-    struck_there = json.loads(answer("zenfi", "fly", "--world", "sparse", "--seed", "7", *fault, "--json"))
     for name in ("module", "build_id", "offset", "register", "bits"):
-        assert struck_there["injection"][name] == struck_here.injection.model_dump(by_alias=True)[name]
-    assert struck_there["digest"] == struck_here.digest
+        assert there["injection"][name] == here.injection.model_dump(by_alias=True)[name]
+    assert there["digest"] == here.digest
+    (tmp_path / "flight.json").write_text(here.model_dump_json(by_alias=True))
     told = json.loads(answer("zenfi", "replay", "flight.json", "--json"))
     assert told["answer"] in ("replayed", "relocated")
