@@ -14,7 +14,7 @@ from tests.dashboard.command import ZENFI
 
 FEW = """
 name = "few"
-runs = 2
+runs = 1
 mission = { seed = 7, limits = { mission_time_s = 6.0 } }
 arms = [{ name = "pid", fault = { target = "pid" } }, { name = "octomap", fault = { target = "octomap" } }]
 """
@@ -80,6 +80,7 @@ def test_the_first_flight_of_a_fault_is_the_same_everywhere(tmp_path: Path, kern
     assert flown(found[0][0]) == flown(found[1][0]) == flown(found[2][0])
 
 
+@pytest.mark.soak
 def test_a_campaign_of_faults_is_the_same_everywhere(tmp_path: Path) -> None:
     (tmp_path / "few.toml").write_text(FEW)
     found = []
@@ -88,7 +89,7 @@ def test_a_campaign_of_faults_is_the_same_everywhere(tmp_path: Path) -> None:
         lines = said(run, os.environ, tmp_path, be_another_process if number else lambda: None)
         runs = {(one["arm"], one["index"]): flown(one["outcome"]) for one in lines if one.get("outcome")}
         found.append(runs)
-    assert len(found[0]) == 4
+    assert len(found[0]) == 2
     assert found[0] == found[1]
 
 

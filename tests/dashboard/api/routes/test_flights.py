@@ -8,7 +8,7 @@ from deploy.mission.replay import Replay
 from services.models.mission import FaultSpec, Limits, MissionSpec
 
 MISSION = MissionSpec(limits=Limits(mission_time_s=6))
-LONG = MissionSpec(mission="scanning", limits=Limits(mission_time_s=40))
+LONG = MissionSpec(mission="scanning", limits=Limits(mission_time_s=16))
 """Under way for seconds on its watch: virtual seconds go by ten times as fast."""
 
 

@@ -6,7 +6,7 @@ import signal
 from playwright.sync_api import expect
 
 from dashboard.client import Client
-from services.models.mission import MissionSpec
+from services.models.mission import Limits, MissionSpec
 from tests.conftest import wait_until
 from tests.dashboard.api.conftest import Serving
 from tests.dashboard.web.conftest import Looking
@@ -20,7 +20,8 @@ def test_nodes_are_shown_and_how_often_they_were_restarted(
     expect(page.get_by_text("No node is on a bus.")).to_be_visible()
     expect(page.get_by_text("No stack is up.")).to_be_visible()
 
-    flight = client.flights.create(MissionSpec(mission="scanning", seed=3)).campaign.campaign
+    short = MissionSpec(mission="scanning", seed=3, limits=Limits(mission_time_s=12))
+    flight = client.flights.create(short).campaign.campaign
     wait_until(lambda: sum(node.restarts == 0 for node in client.nodes()) == 4)
     pids = {node.name: node.pid for node in client.nodes()}
     # Virtual time stands still while we look; for 20 s, then the flight is given up.
