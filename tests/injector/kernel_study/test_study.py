@@ -53,8 +53,9 @@ def struck(
 
 
 def told(run: StudyRun | None) -> tuple[str, ...]:
-    """What came of it; values that were struck there can be the number of a thread."""
-    assert run is not None
+    """What came of it, nothing where the place was refused; values there can be the number of a thread."""
+    if run is None:
+        return ()
     return run.result, run.cause, run.injection.status, run.injection.instruction
 
 
