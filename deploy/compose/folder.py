@@ -14,7 +14,7 @@ import stat
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from deploy.compose.stack_file import NAME, Stack
@@ -83,8 +83,7 @@ def held(folder: Path) -> Iterator[None]:
     if len(str(folder)) + _LONGEST_NAME > SOCKET_PATH_LIMIT:
         message = f"{folder} is too long a path for sockets; set XDG_RUNTIME_DIR or TMPDIR to a shorter one"
         raise UnsafeFolderError(message)
-    for one in (folder.parent, folder):
-        _make_private(one)
+    _make_private(folder.parent)
     lock = _lock(folder)
     try:
         for left in folder.iterdir():
@@ -97,7 +96,8 @@ def held(folder: Path) -> Iterator[None]:
 
 
 def _make_private(folder: Path) -> None:
-    folder.mkdir(mode=0o700, exist_ok=True)
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
     check_private(folder)
 
 
@@ -116,19 +116,32 @@ def check_private(folder: Path) -> None:
 def _lock(folder: Path) -> int:
     deadline_s = time.monotonic() + DYING_S
     while True:
-        _make_private(folder)
-        lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # Its last holder may have removed the folder between our opening and our locking.
-            if os.fstat(lock).st_ino == (folder / _LOCK).stat().st_ino:
+        # Its last holder may remove the folder between any two of our looks at it: then all over again.
+        with suppress(FileNotFoundError):
+            lock = _try_to_lock(folder)
+            if lock is not None:
                 return lock
-        except BlockingIOError as error:
             if time.monotonic() >= deadline_s:
-                os.close(lock)
                 message = f"stack {folder.name} is up already"
-                raise TakenError(message) from error
+                raise TakenError(message)
             time.sleep(_PAUSE_S)
-        except FileNotFoundError:
-            pass
+
+
+def _try_to_lock(folder: Path) -> int | None:
+    """The lock's descriptor; None while somebody else holds it.
+
+    :raises FileNotFoundError: if the folder or its lock has been removed meanwhile.
+    """
+    _make_private(folder)
+    lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.fstat(lock).st_ino != (folder / _LOCK).stat().st_ino:
+            raise FileNotFoundError(folder)
+    except BlockingIOError:
         os.close(lock)
+        return None
+    except FileNotFoundError:
+        os.close(lock)
+        raise
+    return lock

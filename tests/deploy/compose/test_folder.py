@@ -1,5 +1,6 @@
 """A stack's folder is its supervisor's alone."""
 
+import concurrent.futures
 import contextlib
 import stat
 import tempfile
@@ -78,3 +79,22 @@ def test_a_path_too_long_for_sockets_is_refused(monkeypatch: pytest.MonkeyPatch,
     with pytest.raises(UnsafeFolderError, match="XDG_RUNTIME_DIR"), held(stack_folder("x")):
         pass
     assert not list(deep.iterdir())
+
+
+def test_holders_that_come_and_go_at_once_never_meet_and_never_fail(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Who comes may find the folder gone between any two looks at it."""
+    monkeypatch.setattr("deploy.compose.folder.DYING_S", PATIENCE_S)
+    inside: list[int] = []
+
+    def come_and_go(number: int) -> None:
+        for _ in range(60):
+            with held(folder):
+                inside.append(number)
+                assert inside == [number]
+                inside.remove(number)
+
+    with concurrent.futures.ThreadPoolExecutor(4) as threads:
+        list(threads.map(come_and_go, range(4)))
+    assert not folder.exists()
