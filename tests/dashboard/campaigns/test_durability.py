@@ -210,6 +210,7 @@ def told(record: FlightRecord) -> tuple[object, ...]:
     return (record.cell, record.number, record.seed, *(twin if result.injection else flown))
 
 
+@pytest.mark.soak
 def test_ctrl_c_pauses_and_says_how_to_go_on(tmp_path: Path) -> None:
     store = tmp_path / "store"
     with zenfi(store, "run", spec(tmp_path)) as command:

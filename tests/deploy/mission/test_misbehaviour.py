@@ -40,6 +40,7 @@ def test_a_hang_is_a_result_and_the_flight_repeats() -> None:
     assert first.digest == second.digest
 
 
+@pytest.mark.soak
 def test_what_a_node_uses_while_it_is_traced_is_no_hang() -> None:
     """An injector that counts passes stops it a hundred thousand times."""
     traced_s = []

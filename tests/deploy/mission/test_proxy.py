@@ -100,6 +100,7 @@ def memory_of_control(server: ForkServer) -> str:
     return str(failure.value)
 
 
+@pytest.mark.soak
 def test_the_memory_of_a_node_is_that_of_every_flight() -> None:
     """Whatever was flown before, on a loaded machine, on another fork server."""
     stack = {**STACK, "control": replace(STACK["control"], module="tests.fixtures.nodes.surveyed")}

@@ -17,6 +17,7 @@ from services.runtime import latency
 from tests.process_memory import different, memory
 
 
+@pytest.mark.soak
 def test_two_servers_never_compile_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their randomness is the same, and so are the names of the files that numba writes first."""
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)

@@ -83,6 +83,7 @@ def test_a_function_of_a_library_is_struck_in_whichever_thread_calls_it(mapper: 
         assert lives_untraced(process)
 
 
+@pytest.mark.soak
 def test_every_instruction_of_the_call_can_be_named_by_its_number(mapper: Path) -> None:
     """The steps are those of the code: the loop comes round every so many."""
     with running_program(mapper) as process:

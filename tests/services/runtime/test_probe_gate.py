@@ -81,6 +81,7 @@ def node_at_the_gate(learning: int) -> Iterator[Callable[[Sequence[bytes]], Memo
             node.kill()
 
 
+@pytest.mark.soak
 def test_a_node_is_the_same_whether_it_has_sent_probes_or_not() -> None:
     with node_at_the_gate(learning=100) as let_pass:
         # What passing alone writes: objects come and go, each time in another of a few places.

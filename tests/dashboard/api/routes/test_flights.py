@@ -12,6 +12,7 @@ LONG = MissionSpec(mission="scanning", limits=Limits(mission_time_s=16))
 """Under way for seconds on its watch: virtual seconds go by ten times as fast."""
 
 
+@pytest.mark.soak
 def test_a_flight_is_struck_by_hand_after_the_moment_it_was_asked_for(client: Client) -> None:
     watched = client.flights.create(LONG).campaign.campaign
     struck: FlightInfo | None = None

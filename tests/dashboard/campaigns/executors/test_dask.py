@@ -155,6 +155,7 @@ def until(executor: DaskExecutor, event: RunStarted | Lost) -> None:
         assert time.monotonic() < deadline, "it did not happen"
 
 
+@pytest.mark.soak
 def test_an_error_of_ours_is_not_tried_again(cluster: str) -> None:
     impossible = SHORT.model_copy(update={"fault": FaultSpec(target="lawn_mower")})
     with closing(DaskExecutor(cluster, None, LEASE_S)) as executor:

@@ -40,6 +40,7 @@ def be_in_front(page: Page, front: bool) -> None:
     )
 
 
+@pytest.mark.soak
 def test_a_page_on_which_nothing_changes_is_sent_nothing(service: Serving, looking: Looking) -> None:
     label = stored(service, SPEC)
     sent = updates(looking.page)

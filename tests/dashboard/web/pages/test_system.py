@@ -3,6 +3,7 @@
 import os
 import signal
 
+import pytest
 from playwright.sync_api import expect
 
 from dashboard.client import Client
@@ -13,6 +14,7 @@ from tests.dashboard.web.conftest import Looking
 from tests.deploy.mid_flight import jump_to_nowhere
 
 
+@pytest.mark.soak
 def test_nodes_are_shown_and_how_often_they_were_restarted(
     service: Serving, client: Client, looking: Looking
 ) -> None:
