@@ -76,6 +76,12 @@ def zenfi() -> None:
 @click.option("--clock", default="lockstep", show_default=True, help="lockstep or realtime.")
 @click.option("--profile", default="fast", show_default=True, help="Set of parameters: fast or paper.")
 @click.option("--stack", metavar="FILE.toml", help="Programs of your own in the place of stages.")
+@click.option("--pilot", default="guarded", show_default=True, help="guarded (ours) or baseline (published).")
+@click.option(
+    "--guards",
+    metavar="NAME,..",
+    help="Only these guards of docs/pilots.md, or none; default: the pilot's.",
+)
 @click.option("--energy", default="airframe", show_default=True, help="airframe, regression or momentum.")
 @click.option("--detector", metavar=DETECTOR_FORM, help="Watch the flight, e.g. gaussian,recovery=control.")
 @click.option(
@@ -104,9 +110,12 @@ def fly(
     record: Path | None,
     ros: RosOptions | None,
     as_json: bool,
+    guards: str | None,
     **fields: Any,
 ) -> None:
     """Fly one mission; with --fault, its golden twin first."""
+    if guards is not None:
+        fields["guards"] = [] if guards == "none" else guards.split(",")
     if detector is not None:
         fields["detector"] = detector_fields(detector)
     if fault is not None:

@@ -15,11 +15,11 @@ from deploy.mission.golden_twin import compare, draw_call
 from detector.series.monitored_states import WATCHED
 from detector.series.series import Checks, Series
 from services.bus.arrays import Floats, plan, state, verdict
+from services.bus.detector_protocol import shown_command, shown_trajectory, shown_verdict
 from services.bus.horizon import Stamped
 from services.bus.messages import MalformedMessageError, decode
 from services.bus.topics import TICK_NS, TOPICS
 from services.models.mission import MissionSpec
-from services.runtime.monitored_values import shown_command, shown_trajectory, shown_verdict
 
 
 def record(spec: MissionSpec, server: ForkServer) -> Series:
@@ -57,7 +57,7 @@ def series(spec: MissionSpec, flight: FlownMission) -> Series:
     checks = {
         "perception": _perception(messages["collision_check"]),
         "planning": _planning(messages["trajectory"]),
-        "control": _control(messages),
+        "control": _control(spec, messages),
     }
     return Series(checks, about)
 
@@ -74,10 +74,11 @@ def _planning(made: Sequence[Stamped]) -> Checks:
     return Checks(_joined("planning", rows), np.cumsum(lengths) - lengths, _times(made))
 
 
-def _control(messages: Mapping[str, Sequence[Stamped]]) -> Checks:
+def _control(spec: MissionSpec, messages: Mapping[str, Sequence[Stamped]]) -> Checks:
     """The checks of control: runs the follower again, with each odometry message that was taken up."""
     # Stages are module names to those that deploy them.
-    follower = importlib.import_module("services.control.follower").Follower()
+    follower = importlib.import_module("services.control.following").follower(spec)
+    sound = spec.message_checks
     rows, times = [], []
     checks, plans = iter(messages["collision_check"]), iter(messages["trajectory"])
     check, made = next(checks, None), next(plans, None)
@@ -87,13 +88,13 @@ def _control(messages: Mapping[str, Sequence[Stamped]]) -> Checks:
         tick = sent.ready_ns // TICK_NS * TICK_NS
         while check is not None and check.ready_ns <= tick:
             with suppress(MalformedMessageError):
-                follower.take_verdict(*verdict(_read("collision_check", check)))
+                follower.take_verdict(*verdict(_read("collision_check", check), sound))
             check = next(checks, None)
         while made is not None and made.ready_ns <= tick:
             with suppress(MalformedMessageError):
-                follower.take_trajectory(*plan(_read("trajectory", made))[:3])
+                follower.take_trajectory(*plan(_read("trajectory", made), sound)[:3])
             made = next(plans, None)
-        here = state(_read("odometry", odometry[tick]))
+        here = state(_read("odometry", odometry[tick]), sound)
         follower.curve(tick / 1e9, here.position, here.velocity, here.yaw)
         rows.append(shown_command(command, follower.curves, follower.tracked(tick / 1e9)))
         times.append(tick / 1e9)

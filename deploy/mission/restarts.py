@@ -88,7 +88,8 @@ class RestartPolicy:
         silent_until = self._recorder.silent_until_ns(stage)
         died_ns = int(member.stats.page["step_ns"])
         # After the end nobody is started again, but who waits for this stage must learn that it is silent.
-        may_restart = member.life < limits.restarts and self._end.result is None
+        allowed = limits.restarts if "restart" in self._spec.active_guards else 0
+        may_restart = member.life < allowed and self._end.result is None
         start_ns = (
             max(silent_until, died_ns + round(limits.restart_delay_s * 1e9)) if may_restart else NEVER_NS
         )

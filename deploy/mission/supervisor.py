@@ -21,6 +21,7 @@ from deploy.mission.fork_server import Exited, ForkServer
 from injector.tracing.process import tracer_of
 from services.bus.session import BusAddress
 from services.models.outcome import KernelUse, NodeReport, NodeResult
+from services.models.pilots import GUARDS, GuardName
 from services.runtime.setup import NodeSetup
 from services.system.process_stat import main_thread_stat
 from services.system.shared_stats import SharedStats
@@ -65,6 +66,11 @@ class SupervisedNode:
         lines = self.log.read_text(errors="replace").strip().splitlines() if self.log.exists() else []
         return lines[-1] if lines else "no output"
 
+    def _guards(self) -> dict[GuardName, int]:
+        counts = dict(zip(GUARDS, self.stats.page["guards"].tolist(), strict=False))
+        counts["restart"] = max(self.life, 0)
+        return {name: times for name, times in counts.items() if times}
+
     def report(self, result: NodeResult, end_ns: int) -> NodeReport:
         """The node's report for the outcome of a flight that ended at this virtual time."""
         page = self.stats.page
@@ -85,6 +91,7 @@ class SupervisedNode:
             alarms=int(page["alarms"]),
             recomputed=int(page["recomputed"]),
             ungated=int(page["ungated"]),
+            guards=self._guards(),
             compute_s=int(page["compute_wall_ns"]) / 1e9,
             messaging_s=int(page["messaging_wall_ns"]) / 1e9,
             waiting_s=int(page["waiting_wall_ns"]) / 1e9,

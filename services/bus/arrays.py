@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from services.bus.message_checks import ALL_CHECKS, Checks, refuse
 from services.bus.messages import (
     Header,
     MalformedMessageError,
@@ -81,46 +82,52 @@ FASTEST_M_S = 100.0
 """Odometry beyond these two is no measurement."""
 
 
-def state(message: Odometry) -> VehicleState:
+def state(message: Odometry, checks: Checks = ALL_CHECKS) -> VehicleState:
     """The vehicle's state of an odometry message, in the world frame; its twist is in the body frame.
 
-    :raises MalformedMessageError: if it is not finite, out of this world or its quaternion no rotation.
+    :raises RefusedMessageError: if it is not finite, out of this world or its quaternion no rotation.
     """
     pose = message.pose.pose
     w, x, y, z = attitude = wxyz(pose.orientation)
     position, body_velocity = xyz(pose.position), xyz(message.twist.twist.linear)
+    refuse(checks, "finite", "odometry: not finite", unless=_finite(position, body_velocity, attitude))
     # A comparison with NaN is false.
-    sound = (
+    possible = (
         np.abs(position).max() <= FARTHEST_M
         and np.abs(body_velocity).max() <= FASTEST_M_S
         and np.abs(attitude).max() < 2.0
         and abs(w * w + x * x + y * y + z * z - 1.0) < 0.01
     )
-    if not sound:
-        raise MalformedMessageError(f"odometry: {position} m, {body_velocity} m/s, attitude {attitude}")
+    refuse(checks, "range", "odometry: out of this world, or no rotation", unless=bool(possible))
     yaw = atan2(2 * (x * y + w * z), 1 - 2 * (y * y + z * z))
     return VehicleState(position, rotated(body_velocity, attitude), attitude, yaw)
 
 
-def sound_goal(message: Any) -> Any:
+def sound_goal(message: Any, checks: Checks = ALL_CHECKS) -> Any:
     """The goal message, checked: it is returned unchanged if it can be flown.
 
-    :raises MalformedMessageError: if a coordinate exceeds :data:`FARTHEST_M`.
+    :raises RefusedMessageError: if a coordinate is not finite or exceeds :data:`FARTHEST_M`.
     """
-    if not np.abs(xyz(message.position)).max() <= FARTHEST_M:
-        raise MalformedMessageError(f"goal: {message.position}")
+    _refuse_places(checks, "goal", xyz(message.position))
     return message
 
 
-def sound_task(message: Any) -> Any:
+def sound_task(message: Any, checks: Checks = ALL_CHECKS) -> Any:
     """The task message, checked: it is returned unchanged if it makes sense.
 
-    :raises MalformedMessageError: if a coordinate exceeds :data:`FARTHEST_M`.
+    :raises RefusedMessageError: if a coordinate is not finite or exceeds :data:`FARTHEST_M`.
     """
-    corners = message.start, message.lower, message.upper
-    if not np.abs([xyz(corner) for corner in corners]).max() <= FARTHEST_M:
-        raise MalformedMessageError(f"task: {message.start}, {message.lower}, {message.upper}")
+    _refuse_places(checks, "task", *map(xyz, (message.start, message.lower, message.upper)))
     return message
+
+
+def _refuse_places(checks: Checks, name: str, *places: Floats) -> None:
+    refuse(checks, "finite", f"{name}: not finite", unless=_finite(*places))
+    refuse(checks, "range", f"{name}: too far", unless=bool(np.abs(places).max() <= FARTHEST_M))
+
+
+def _finite(*arrays: Floats) -> bool:
+    return all(bool(np.isfinite(one).all()) for one in arrays)
 
 
 class FlightPlace(NamedTuple):
@@ -154,20 +161,19 @@ class Plan(NamedTuple):
     failed: bool
 
 
-def plan(message: Any) -> Plan:
+def plan(message: Any, checks: Checks = ALL_CHECKS) -> Plan:
     """The plan that a trajectory message holds.
 
-    :raises MalformedMessageError: if its numbers are no whole points, too many or not finite, or if
-        its time runs backwards.
+    :raises MalformedMessageError: if its numbers are no whole points or too many.
+    :raises RefusedMessageError: if they are not finite, or if its time runs backwards.
     """
     count, rest = divmod(message.points.size, POINT_FIELDS)
     if rest or count > POINTS_MAX:
         raise MalformedMessageError(f"trajectory: {message.points.size} numbers")
     points = message.points.reshape(-1, POINT_FIELDS)
-    if not np.isfinite(points).all():
-        raise MalformedMessageError("trajectory: not finite")
-    if (points[1:, 0] < points[:-1, 0]).any():
-        raise MalformedMessageError("trajectory: its time runs backwards")
+    refuse(checks, "finite", "trajectory: not finite", unless=_finite(points))
+    backwards = bool((points[1:, 0] < points[:-1, 0]).any())
+    refuse(checks, "order", "trajectory: its time runs backwards", unless=not backwards)
     return Plan(message.trajectory_seq, message.future_collision_seq, points, bool(message.failed))
 
 
@@ -195,14 +201,13 @@ class Verdict(NamedTuple):
     time_to_collision_s: float
 
 
-def verdict(message: Any) -> Verdict:
+def verdict(message: Any, checks: Checks = ALL_CHECKS) -> Verdict:
     """The verdict that a collision check message holds.
 
-    :raises MalformedMessageError: if its time to collision is no time: NaN or minus infinity.
+    :raises RefusedMessageError: if its time to collision is no time: NaN or minus infinity.
     """
     stamp, left_s = message.header.stamp, message.time_to_collision
-    if not left_s > -inf:
-        raise MalformedMessageError(f"collision check: {left_s} s to collision")
+    refuse(checks, "finite", "collision check: no time", unless=left_s > -inf)
     checked_s = stamp.sec + stamp.nanosec / 1e9
     return Verdict(checked_s, message.trajectory_seq, message.future_collision_seq, left_s)
 

@@ -1,7 +1,8 @@
 """Requests of stages to a detector and its replies, as bytes on the bus.
 
 A question is whether the stage has a predecessor to be compared with, then the rows that the detector is
-shown, float64 one after the other. An answer is empty, or an alarm as JSON.
+shown, float64 one after the other: an output's monitored values, the columns those of
+``detector/series/monitored_states.py``. An answer is empty, or an alarm as JSON.
 """
 
 from __future__ import annotations
@@ -10,11 +11,12 @@ import json
 import struct
 import sys
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from services.bus.arrays import Floats
+from services.bus.arrays import POINT_FIELDS, Floats
+from services.bus.messages import TwistStamped
 
 _HEAD = struct.Struct("<q")
 _FRESH = 1
@@ -57,3 +59,22 @@ def answer(found: DetectorReply | None) -> bytes:
 def answered(payload: bytes) -> DetectorReply | None:
     """Decode a detector's reply: the alarm, or None if there is none."""
     return DetectorReply(*json.loads(payload)) if payload else None
+
+
+def shown_verdict(message: Any) -> Floats:
+    """(1, 2), of a CollisionCheck: time to collision and the count of collisions."""
+    return np.array([[message.time_to_collision, message.future_collision_seq]], dtype=np.float64)
+
+
+def shown_trajectory(message: Any) -> Floats:
+    """(points, 13), of a Trajectory: t, position, velocity, acceleration, yaw; in each row both counts."""
+    points = message.points.reshape(-1, POINT_FIELDS)[:, :11]
+    counts = (float(message.trajectory_seq), float(message.future_collision_seq))
+    return np.hstack((points, np.tile(counts, (len(points), 1))))
+
+
+def shown_command(message: TwistStamped, curves: int, waypoints: Floats) -> Floats:
+    """(2, 15): the count of curves, ``waypoints`` (the row behind and the tracked one), the command twice."""
+    linear, turn = message.twist.linear, message.twist.angular.z
+    flown = np.tile((linear.x, linear.y, linear.z, turn), (2, 1))
+    return np.hstack((np.full((2, 1), float(curves)), waypoints, flown))

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from services.bus.message_checks import ALL_CHECKS, Checks, refuse
 from services.bus.messages import MalformedMessageError
 
 # What is known of a voxel.
@@ -26,14 +27,16 @@ class MalformedMap(MalformedMessageError):  # noqa: N818 - the map is, not the p
     """A message that holds no map to plan in."""
 
 
-def sound_map(message: Any) -> Any:
+def sound_map(message: Any, checks: Checks = ALL_CHECKS) -> Any:
     """The ``octomap_msgs/Octomap`` message itself.
 
-    :raises MalformedMap: if it is not a binary octree or has an absurd resolution.
+    :raises MalformedMap: if it is not a binary octree, or has a resolution that is no length.
+    :raises RefusedMessageError: if it has an absurd resolution.
     """
     finest, coarsest = RESOLUTIONS_M
-    if not (message.binary and message.id == "OcTree" and finest <= message.resolution <= coarsest):
+    if not (message.binary and message.id == "OcTree" and message.resolution > 0.0):
         raise MalformedMap(f"map: {message.id!r}, binary {message.binary}, resolution {message.resolution}")
+    refuse(checks, "range", "map: absurd resolution", unless=finest <= message.resolution <= coarsest)
     return message
 
 

@@ -10,6 +10,7 @@ import zenoh
 
 from services.bus import session
 from services.bus.horizon import Channel, Stamped
+from services.bus.message_checks import Checks
 from services.bus.messages import MalformedMessageError, decode
 from services.bus.topics import HORIZON_TYPE, Topic, published_by
 
@@ -29,22 +30,32 @@ RECENT = 64
 """Messages that an input remembers for :meth:`Input.at`."""
 
 
-def as_it_is(message: Any) -> Any:
+Parse = Callable[[Any, Checks], Any]
+"""Makes of a decoded message what a stage works with.
+
+Raises :class:`MalformedMessageError` if it makes no sense, by those checks that are switched on.
+"""
+
+
+def as_it_is(message: Any, _: Checks) -> Any:
     """Return the message unchanged: the default parser of an input."""
     return message
 
 
 class Input:
-    """A subscribed topic as the stage sees it.
+    """A subscribed topic as the stage sees it; ``refused`` is called for each message that is refused."""
 
-    ``parse`` makes of a decoded message what the stage works with, and raises
-    :class:`MalformedMessageError` if it makes no sense; ``refused`` is called with each such message.
-    """
-
-    def __init__(self, topic: Topic, parse: Callable[[Any], Any], refused: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        topic: Topic,
+        parse: Parse,
+        checks: Checks,
+        refused: Callable[[MalformedMessageError], None],
+    ) -> None:
         self.topic = topic
         self.new: list[Stamped] = []
         self._parse = parse
+        self._checks = checks
         self._refused = refused
         self._recent: deque[Stamped] = deque(maxlen=RECENT)
         self._latest: Any = None
@@ -59,9 +70,9 @@ class Input:
     def read(self, message: Stamped) -> Any | None:
         """The parsed message; None (and counted) if it is malformed."""
         try:
-            return self._parse(decode(message.payload, self.topic.type))
-        except MalformedMessageError:
-            self._refused()
+            return self._parse(decode(message.payload, self.topic.type), self._checks)
+        except MalformedMessageError as error:
+            self._refused(error)
             return None
 
     @property

@@ -7,11 +7,13 @@ from functools import partial
 import numpy as np
 
 from services.bus.arrays import POINT_FIELDS, Floats, plan, state, vector, verdict
+from services.bus.detector_protocol import shown_command
 from services.bus.messages import Twist, TwistStamped, header
 from services.bus.proxy_link import NodeLink
 from services.bus.topics import TICK_NS
 from services.control.follower import Follower
-from services.runtime.monitored_values import shown_command
+from services.control.following import follower
+from services.models.mission import MissionSpec
 from services.runtime.node import Node
 from services.runtime.realtime import join
 from services.runtime.setup import NodeSetup
@@ -22,19 +24,19 @@ TICK_S = TICK_NS / 1e9
 
 def warm_up() -> None:
     """Compile the kernels before there is a flight."""
-    follower = Follower()
+    flown = follower(MissionSpec())
     state = np.zeros(3), np.ones(3), 0.0
-    follower.command(0.0, *state, TICK_S)
+    flown.command(0.0, *state, TICK_S)
     # What comes from the bus is read-only: to numba a type of its own.
     points = np.zeros((2, POINT_FIELDS))
     points.setflags(write=False)
-    follower.take_trajectory(1, 0, points)
-    follower.command(1.0, *state, TICK_S)
+    flown.take_trajectory(1, 0, points)
+    flown.command(1.0, *state, TICK_S)
 
 
 def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
     """Follow the newest trajectory, brake for what the collision check finds."""
-    follower = Follower()
+    flown = follower(setup.spec)
     with join(setup, proxy, stats) as node:
         odometry, check, trajectory = (
             node.input("odometry", state),
@@ -45,9 +47,9 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
         for measured in node.spin(odometry):
             for found in map(check.read, check.new):
                 if found is not None:
-                    follower.take_verdict(*found)
+                    flown.take_verdict(*found)
             for made in map(trajectory.read, trajectory.new):
-                if made is not None and not follower.take_trajectory(*made[:3]):
+                if made is not None and not flown.take_trajectory(*made[:3]):
                     node.count("outdated")
             here = odometry.read(measured)
             if here is None:
@@ -55,25 +57,24 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
             now_s, (position, velocity, _, yaw) = node.now_ns / 1e9, here
             _, command = node.recovery.sound(
                 "command",
-                partial(make, node, follower, now_s, position, velocity, yaw),
+                partial(make, node, flown, now_s, position, velocity, yaw),
                 partial(command_message, node),
-                partial(shown, follower, now_s),
-                partial(follower.skip_waypoint, now_s),
+                partial(shown, flown, now_s),
+                partial(flown.skip_waypoint, now_s),
             )
             node.put("command", command)
+            node.guards.take(flown.acted)
 
 
-def make(
-    node: Node, follower: Follower, now_s: float, position: Floats, velocity: Floats, yaw: float
-) -> Floats:
+def make(node: Node, flown: Follower, now_s: float, position: Floats, velocity: Floats, yaw: float) -> Floats:
     """The command for the present state."""
     with node.kernel("pid"):
-        return follower.command(now_s, position, velocity, yaw, TICK_S)
+        return flown.command(now_s, position, velocity, yaw, TICK_S)
 
 
-def shown(follower: Follower, now_s: float, command: TwistStamped) -> Floats:
+def shown(flown: Follower, now_s: float, command: TwistStamped) -> Floats:
     """What a detector sees of a command: with it the waypoint that it flies to."""
-    return shown_command(command, follower.curves, follower.tracked(now_s))
+    return shown_command(command, flown.curves, flown.tracked(now_s))
 
 
 def command_message(node: Node, command: Floats) -> TwistStamped:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from services.models.pilots import GuardName, Guards, Pilot
 from services.models.safety import SPEED_LIMIT_M_S
 
 YAW_RATE_LIMIT_RAD_S = math.radians(90.0)
 """Facts page, "control"."""
 
-_PROPORTIONAL = 1.2  # 1/s
-_INTEGRAL = 0.1  # 1/s^2
-_DERIVATIVE = 0.15  # on the velocity error
 _YAW_PROPORTIONAL = 2.0  # 1/s
 _YAW_DEADBAND_RAD = math.radians(1.0)
 _ERROR_LIMIT_M = 10.0  # an error beyond it is not believed to its full size
@@ -23,6 +22,43 @@ _INTEGRAL_LIMIT_M_S = 2.0
 
 STATE_SIZE = 3
 """The state of the controller: the integrated position error, m s. All zero at the start."""
+
+REPORT_SIZE = 4
+PACE = 0
+"""In the report on a command: the part of itself to which its level speed was limited, 1 if it was not."""
+
+KERNEL_GUARDS: tuple[GuardName, ...] = ("finite", "limits", "clip")
+"""The guards within the kernel; in the report, after the pace: how often each acted."""
+
+_FINITE, _LIMITS, _CLIP = 1, 2, 3
+
+
+class Tuning(NamedTuple):
+    """What a pilot and its guards make of the controller; gains as in :class:`services.models.pilots.Pilot`.
+
+    ``held``: the trajectory's first row is flown as it stands, whatever the time.
+    """
+
+    proportional_level: float
+    proportional_vertical: float
+    integral: float
+    derivative: float
+    held: bool
+    finite: bool
+    limits: bool
+    clip: bool
+
+
+def tuning(pilot: Pilot, guards: Guards) -> Tuning:
+    """The controller of a pilot with these guards."""
+    return Tuning(
+        pilot.proportional_level,
+        pilot.proportional_vertical,
+        pilot.integral,
+        pilot.derivative,
+        "dense" not in guards,
+        *(name in guards for name in KERNEL_GUARDS),
+    )
 
 
 @njit(cache=True)
@@ -34,30 +70,55 @@ def pid(
     yaw: float,
     period_s: float,
     state: NDArray[np.float64],
+    tuning: Tuning,
+    report: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Flight command (vx, vy, vz, yaw rate), world frame, m/s and rad/s; updates ``state``.
+    """Flight command (vx, vy, vz, yaw rate), world frame, m/s and rad/s.
 
     ``trajectory`` (n, 12) as it stands on the bus, n >= 1; ``position`` and ``velocity`` (3,) world
-    frame; ``period_s`` since the last command. v = v_traj + P e + I integral(e) + D e', limited to
-    ``SPEED_LIMIT_M_S`` horizontally and vertically. Values that are not finite count as zero, so the
-    command is always finite.
+    frame; ``period_s`` since the last command. ``state`` is updated, ``report`` written.
+
+    v = v_traj + P e + I integral(e) + D e'. By the guards: finite, errors that are not finite count as
+    zero; limits, errors are believed up to a size; clip, the command is limited to ``SPEED_LIMIT_M_S``
+    horizontally and vertically, and to the largest yaw rate.
     """
-    target = state_at(trajectory, now_s)
+    target = held_state(trajectory) if tuning.held else state_at(trajectory, now_s)
     command = np.zeros(4)
+    report[:] = 0.0
     for axis in range(3):
-        error = _clip(target[axis] - position[axis], _ERROR_LIMIT_M)
-        slip = _clip(target[3 + axis] - velocity[axis], 2.0 * SPEED_LIMIT_M_S)
-        state[axis] = _clip(state[axis] + error * period_s, _INTEGRAL_LIMIT_M_S)
-        feedback = _PROPORTIONAL * error + _INTEGRAL * state[axis] + _DERIVATIVE * slip
-        command[axis] = _clip(target[3 + axis], SPEED_LIMIT_M_S) + feedback
+        gain = tuning.proportional_vertical if axis == 2 else tuning.proportional_level
+        error = _believed(target[axis] - position[axis], _ERROR_LIMIT_M, tuning, report)
+        slip = _believed(target[3 + axis] - velocity[axis], 2.0 * SPEED_LIMIT_M_S, tuning, report)
+        state[axis] = _believed(state[axis] + error * period_s, _INTEGRAL_LIMIT_M_S, tuning, report)
+        feedback = gain * error + tuning.integral * state[axis] + tuning.derivative * slip
+        command[axis] = _believed(target[3 + axis], SPEED_LIMIT_M_S, tuning, report) + feedback
     speed = math.hypot(command[0], command[1])
-    if speed > SPEED_LIMIT_M_S:
+    report[PACE] = 1.0
+    if tuning.clip and speed > SPEED_LIMIT_M_S:
+        report[PACE] = SPEED_LIMIT_M_S / speed
         command[:2] *= SPEED_LIMIT_M_S / speed
-    command[2] = _clip(command[2], SPEED_LIMIT_M_S)
     off = _shortest_turn(yaw, target[9])
     turn = _YAW_PROPORTIONAL * off if abs(off) > _YAW_DEADBAND_RAD else 0.0
-    command[3] = _clip(_clip(target[10], YAW_RATE_LIMIT_RAD_S) + turn, YAW_RATE_LIMIT_RAD_S)
+    command[3] = _believed(target[10], YAW_RATE_LIMIT_RAD_S, tuning, report) + turn
+    if tuning.clip:
+        before = command[2:].copy()
+        command[2] = _clip(command[2], SPEED_LIMIT_M_S)
+        command[3] = _clip(command[3], YAW_RATE_LIMIT_RAD_S)
+        if report[PACE] < 1.0 or command[2] != before[0] or command[3] != before[1]:
+            report[_CLIP] += 1.0
+    if tuning.finite and not np.isfinite(command).all():
+        report[_FINITE] += 1.0
+        for axis in range(4):
+            command[axis] = command[axis] if math.isfinite(command[axis]) else 0.0
     return command
+
+
+@njit(cache=True)
+def held_state(trajectory: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The state (11,) that a trajectory's first row asks for: as :func:`state_at`, without a yaw rate."""
+    state = np.zeros(11)
+    state[:10] = trajectory[0, 1:11]
+    return state
 
 
 @njit(cache=True)
@@ -122,11 +183,23 @@ def stopping(
 
 
 @njit(cache=True)
-def _clip(value: float, limit: float) -> float:
-    """``value`` within +-``limit``; zero if it is not finite."""
-    if not math.isfinite(value):
+def _believed(value: float, limit: float, tuning: Tuning, report: NDArray[np.float64]) -> float:
+    """``value`` as far as the guards let it be believed: zero if it is not finite, within +-``limit``."""
+    if tuning.finite and not math.isfinite(value):
+        report[_FINITE] += 1.0
         return 0.0
-    return min(max(value, -limit), limit)
+    if tuning.limits and abs(value) > limit:
+        report[_LIMITS] += 1.0
+        return _clip(value, limit)
+    return value
+
+
+@njit(cache=True)
+def _clip(value: float, limit: float) -> float:
+    """``value`` within +-``limit``; what is not a number stays so."""
+    if value > limit:
+        return limit
+    return -limit if value < -limit else value
 
 
 @njit(cache=True)

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from services.bus.arrays import plan, state, verdict
 from services.bus.messages import TwistStamped
 from services.bus.topics import TICK_NS
-from services.control.follower import Follower
-from services.control.pid import pid
+from services.control.following import follower
+from services.control.pid import REPORT_SIZE, pid, tuning
+from services.models.mission import MissionSpec
+from services.models.pilots import ALL_GUARDS, PILOTS
 from services.runtime.kernel_trial import KernelTrial, NoSampleError, Sample, SampleFlight, cdr, decoded
 
 _AT_SPEED_M_S = 1.0
@@ -37,23 +39,23 @@ def record(flight: SampleFlight) -> Sample:
 
 def _replayed(flight: SampleFlight) -> Iterator[tuple[Sample, NDArray[np.float64]]]:
     """Input of the kernel and command of each tick in which a trajectory is followed."""
-    messages, follower = flight.messages, Follower()
+    messages, flown = flight.messages, follower(MissionSpec())
     verdicts, plans = deque(messages["collision_check"]), deque(messages["trajectory"])
     taken: list[tuple[NDArray[np.uint8], NDArray[np.float64]]] = []
-    for measured, flown in zip(messages["odometry"], messages["command"], strict=False):
+    for measured, sent in zip(messages["odometry"], messages["command"], strict=False):
         while verdicts and verdicts[0].ready_ns <= measured.ready_ns:
-            follower.take_verdict(*verdict(decoded("collision_check", cdr(verdicts.popleft()))))
+            flown.take_verdict(*verdict(decoded("collision_check", cdr(verdicts.popleft()))))
         while plans and plans[0].ready_ns <= measured.ready_ns:
             message = cdr(plans.popleft())
             made = plan(decoded("trajectory", message))
-            follower.take_trajectory(*made[:3])
+            flown.take_trajectory(*made[:3])
             taken.append((message, made.points))
         now_s, here = measured.ready_ns / 1e9, state(decoded("odometry", cdr(measured)))
         motion = now_s, here.position, here.velocity, here.yaw
-        curve = follower.curve(*motion)
-        before = follower.state.copy()
-        command = follower.command(*motion, TICK_NS / 1e9)
-        if not np.array_equal(command, _numbers_of(decoded("command", cdr(flown)))):
+        curve = flown.curve(*motion)
+        before = flown.state.copy()
+        command = flown.command(*motion, TICK_NS / 1e9)
+        if not np.array_equal(command, _numbers_of(decoded("command", cdr(sent)))):
             raise NoSampleError(f"the messages of the flight do not give its command at {now_s} s")
         for message, points in taken:
             if points is curve:
@@ -69,12 +71,14 @@ class PidTrial(KernelTrial):
         self._now_s = float(sample["now_s"])
         self._here = state(decoded("odometry", sample["odometry"]))
         self._state = sample["state"].copy()
+        self._rest = tuning(PILOTS["guarded"], ALL_GUARDS), np.zeros(REPORT_SIZE)
         self.command = np.full(4, np.nan)
 
     def run(self) -> None:
         """Compute the flight command of the sample."""
         position, velocity, _, yaw = self._here
-        self.command = pid(self._trajectory, self._now_s, position, velocity, yaw, TICK_NS / 1e9, self._state)
+        here = position, velocity, yaw, TICK_NS / 1e9
+        self.command = pid(self._trajectory, self._now_s, *here, self._state, *self._rest)
 
     def values(self) -> NDArray[np.float64]:
         """The flight command that was computed."""

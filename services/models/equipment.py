@@ -1,6 +1,9 @@
-"""What a flight carries and meets: sensors, map, limits of motion, wind. Fields of the mission."""
+"""What a flight carries and meets, as fields of a mission: sensors, map, limits of motion, wind; profiles."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
 
 from pydantic import Field
 
@@ -67,3 +70,19 @@ class Wind(Strict):
     mean_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     gust_m_s: tuple[float, float, float] = (0.6, 0.6, 0.3)
     correlation_s: float = Field(default=1.0, gt=0, le=600)
+
+
+PROFILES: Mapping[str, Mapping[str, Strict]] = MappingProxyType(
+    {
+        # The defaults of every field: tuned for speed, same outcomes.
+        "fast": {},
+        # Published parameters: facts page, "Pipeline values". Of the published 0.1 to 0.2 m the
+        # coarser voxel: the finer one costs eight times as much and flies alike.
+        "paper": {
+            "camera": Camera(width=256, height=144),
+            "mapping": MapSettings(resolution_m=0.2, range_m=7.0),
+            "motion": Motion(speed_m_s=3.0, acceleration_m_s2=5.0),
+        },
+    }
+)
+"""Named sets of fields of a mission."""

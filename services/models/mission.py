@@ -11,14 +11,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from services.bus.message_checks import ALL_CHECKS, Checks
 from services.bus.topics import PLANNER, Topic
 from services.models.airframe import AirframeDefinition
 from services.models.base import Strict
 from services.models.detection import DetectorSpec
-from services.models.equipment import Camera, Imu, MapSettings, Motion, Odometry, Wind
+from services.models.equipment import PROFILES, Camera, Imu, MapSettings, Motion, Odometry, Wind
 from services.models.own_stack import OwnStack, OwnStage
+from services.models.pilots import PILOTS, GuardName, Guards, Pace, PilotName
 from services.models.platform import PlatformDefinition
-from services.models.profiles import PROFILES
 from services.models.world import WorldDefinition
 
 Seed = int
@@ -237,11 +238,24 @@ class MissionSpec(Strict):
     odometry: Odometry = Odometry()
     mapping: MapSettings = MapSettings()
     motion: Motion = Motion()
+    pilot: PilotName = Field(default="guarded", description="guarded (ours) or baseline (published)")
+    guards: tuple[GuardName, ...] | None = Field(default=None, description="these only; default: the pilot's")
+    pace: Pace = Pace()
     wind: Wind = Wind()
     detector: DetectorSpec | None = None
     stack: OwnStack | None = None
     fault: FaultSpec | None = None
     limits: Limits = Limits()
+
+    @property
+    def active_guards(self) -> Guards:
+        """The guards that are switched on."""
+        return PILOTS[self.pilot].guards if self.guards is None else frozenset(self.guards)
+
+    @property
+    def message_checks(self) -> Checks:
+        """Those of them that are checks of messages."""
+        return frozenset(name for name in ALL_CHECKS if name in self.active_guards)
 
     def own_stage(self, stage: str) -> OwnStage | None:
         """The own stage that replaces a stage of ours, if there is one."""

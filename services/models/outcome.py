@@ -9,6 +9,7 @@ from pydantic import Field
 from services.models.base import Strict
 from services.models.detection import DetectionReport
 from services.models.mission import MissionSpec, Trigger
+from services.models.pilots import GuardName
 from services.models.propagation import Propagation
 
 MissionResult = Literal["success", "collision", "no_path", "timeout", "stack_failure"]
@@ -124,6 +125,7 @@ class NodeReport(Strict):
     alarms: int = Field(default=0, description="outputs that were found wrong")
     recomputed: int = Field(default=0, description="outputs that were made again")
     ungated: int = Field(default=0, description="outputs without a verdict: the detector had died")
+    guards: dict[GuardName, int] = Field(default={}, description="how often each guard acted in it")
     compute_s: float = 0.0
     messaging_s: float = 0.0
     waiting_s: float = 0.0

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.bus.arrays import Plan
+from services.bus.message_checks import ALL_CHECKS, Checks, refuse
 from services.bus.messages import (
     CameraInfo,
     CollisionCheck,
@@ -20,7 +21,7 @@ from services.bus.messages import (
 from services.perception.occupancy import OccupancyMap
 
 
-def depth_array(image: Image) -> NDArray[np.float32]:
+def depth_array(image: Image, _: Checks = ALL_CHECKS) -> NDArray[np.float32]:
     """The depth image (h, w) of a 32FC1 message.
 
     :raises MalformedMessageError: if it has another encoding or number of pixels, or none at all.
@@ -41,14 +42,14 @@ class Pinhole(NamedTuple):
     cy: float
 
 
-def pinhole(info: CameraInfo) -> Pinhole:
+def pinhole(info: CameraInfo, checks: Checks = ALL_CHECKS) -> Pinhole:
     """The camera that a message describes.
 
-    :raises MalformedMessageError: if no camera has such intrinsics.
+    :raises RefusedMessageError: if no camera has such intrinsics.
     """
     fx, cx, fy, cy = info.k[[0, 2, 4, 5]]
-    if not (np.isfinite([fx, fy, cx, cy]).all() and fx > 0.0 and fy > 0.0):
-        raise MalformedMessageError(f"camera: intrinsics {info.k}")
+    refuse(checks, "finite", "camera: not finite", unless=bool(np.isfinite([fx, fy, cx, cy]).all()))
+    refuse(checks, "range", "camera: no such lens", unless=bool(fx > 0.0 and fy > 0.0))
     return Pinhole(fx, fy, cx, cy)
 
 

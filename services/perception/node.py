@@ -21,13 +21,13 @@ from services.bus.arrays import (
     plan,
     state,
 )
+from services.bus.detector_protocol import shown_verdict
 from services.bus.messages import header
 from services.bus.proxy_link import NodeLink
 from services.perception.collision import CollisionCounter, time_to_collision
 from services.perception.messages import Pinhole, check_message, depth_array, map_message, pinhole
 from services.perception.occupancy import OccupancyMap
 from services.perception.point_cloud import point_cloud
-from services.runtime.monitored_values import shown_verdict
 from services.runtime.node import Node
 from services.runtime.realtime import join
 from services.runtime.setup import NodeSetup

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from services.bus.arrays import Floats, place, plan_message, sound_goal, sound_task, state, verdict
+from services.bus.detector_protocol import shown_trajectory
 from services.bus.messages import header
 from services.bus.octomaps import MalformedMap, sound_map
 from services.bus.proxy_link import NodeLink
 from services.kernels import GOAL_KERNELS
 from services.planning.goals import GoalContext, Goals, goals, warm_up_goals
-from services.planning.pilot import Navigator, PlanRequest
+from services.planning.pilot import Navigator, PlanRequest, tactics
 from services.planning.planners import PLANNERS, plan
-from services.planning.trajectory import Departure, trajectory
+from services.planning.trajectory import HELD_STEP_S, STEP_S, Departure, trajectory
 from services.planning.voxels import VoxelGrid, unpack
 from services.runtime import rng
-from services.runtime.monitored_values import shown_trajectory
 from services.runtime.node import Node
 from services.runtime.realtime import join
 from services.runtime.setup import NodeSetup
@@ -61,7 +61,12 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
                 if heading is None:
                     continue
                 navigator = heading
+                opening = navigator.opening(node.now_ns / 1e9, now.position, now.yaw, found)
+                if opening is not None:
+                    node.put("trajectory", plan_message(header(node.now_ns, "map"), opening))
+                    continue
                 request = navigator.consider(node.now_ns / 1e9, now.position, now.velocity, now.yaw, found)
+                node.guards.take(navigator.acted)
                 if request is None:
                     continue
                 grid = unpack(known.data.tobytes(), known.resolution, *request.box())
@@ -91,7 +96,8 @@ def guided(
     if goal is None:
         return None
     if navigator is None:
-        return Navigator(goal, (node.slow_ns(node.spec.planner) + node.slow_ns("trajectory")) / 1e9)
+        latency_s = (node.slow_ns(node.spec.planner) + node.slow_ns("trajectory")) / 1e9
+        return Navigator(goal, latency_s, tactics(node.spec))
     navigator.head_for(goal)
     return navigator
 
@@ -106,7 +112,8 @@ def make(node: Node, request: PlanRequest, grid: VoxelGrid) -> Floats | None:
     with node.kernel("trajectory"):
         motion = node.spec.motion
         limits = motion.speed_m_s, motion.acceleration_m_s2
-        return trajectory(path, request.departure, grid, request.limit, *limits)
+        step_s = STEP_S if "dense" in node.spec.active_guards else HELD_STEP_S
+        return trajectory(path, request.departure, grid, request.limit, *limits, step_s)
 
 
 def announced(node: Node, request: PlanRequest, points: Floats | None) -> Any:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from services.bus.arrays import NO_PLAN, Floats, Plan, Verdict
+from services.bus.arrays import NO_PLAN, POINT_FIELDS, Floats, Plan, Verdict
+from services.models.mission import MissionSpec
+from services.models.pilots import ALL_GUARDS, PILOTS, GuardName, Guards, Pace
 from services.models.safety import BRAKE_BELOW_S, DECELERATION_M_S2
 from services.planning.trajectory import Departure
 from services.planning.voxels import CLOSE, NEAR
@@ -40,6 +42,21 @@ _STRAYED_M = 2.5  # farther off the trajectory than any gust or lag: it is not b
 _ARRIVED_M = 0.5
 _RETREAT_M = 4.0
 _TRAIL_STEP_M = 1.0
+_STANDING_M_S = 0.3
+_HOLD_STEP_S = 0.5
+
+
+class Tactics(NamedTuple):
+    """How a pilot decides: what :class:`services.models.pilots.Pilot`, its guards and its pace say of it."""
+
+    leads_on: bool = True
+    guards: Guards = ALL_GUARDS
+    pace: Pace = Pace()
+
+
+def tactics(spec: MissionSpec) -> Tactics:
+    """The tactics of a mission's pilot."""
+    return Tactics(PILOTS[spec.pilot].leads_on, spec.active_guards, spec.pace)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +91,17 @@ class Navigator:
     """Decides, verdict by verdict, whether to plan anew.
 
     Holds its newest trajectory and where the vehicle has been. A stage that was restarted in flight
-    has neither, so it plans at once, and takes up the count of trajectories from the verdict.
+    has neither, so it plans at once, and takes up the count of trajectories from the verdict. ``acted``
+    counts what the guards did.
     """
 
-    def __init__(self, goal: Floats, latency_s: float) -> None:
+    def __init__(self, goal: Floats, latency_s: float, tactics: Tactics) -> None:
         self._goal = goal
         self._latency_s = latency_s
+        self._tactics = tactics
+        self._standing_since_s: float | None = None
+        self._opened = tactics.leads_on
+        self.acted: Counter[GuardName] = Counter()
         self._points: Floats | None = None
         self._seq = 0
         self._answered = 0
@@ -110,6 +132,19 @@ class Navigator:
         self._goal, self._points = goal, None
         self._goal_failures, self._resort, self._retreating = 0, "none", False
 
+    def opening(self, now_s: float, position: Floats, yaw: float, verdict: Verdict) -> Plan | None:
+        """What a pilot that does not lead on flies first, and once: it hovers and looks round.
+
+        None if that is done, or if the verdict tells of a trajectory: then only this stage is new.
+        """
+        if self._opened or verdict.trajectory_seq:
+            self._opened = True
+            return None
+        self._opened = True
+        pace = self._tactics.pace
+        self._points = looking_round(now_s, position, yaw, pace.take_off_s, pace.look_round_s)
+        return Plan(0, verdict.future_collision_seq, self._points, failed=False)
+
     def consider(
         self, now_s: float, position: Floats, velocity: Floats, yaw: float, verdict: Verdict
     ) -> PlanRequest | None:
@@ -120,6 +155,9 @@ class Navigator:
         """
         self._remember(position)
         if not self._must_plan(now_s, position, verdict):
+            self._standing_since_s = None
+            return None
+        if not (self._tactics.leads_on or self._waited(now_s, velocity)):
             return None
         self._seq = min((self._seq or verdict.trajectory_seq) + 1, _SEQ_MAX)
         refuge = self._refuge(position) if self._resort == "retreat" else None
@@ -142,7 +180,7 @@ class Navigator:
             self._failures += 1
             self._goal_failures += 1
             if not request.departure.velocity.any():
-                self._resort = _NEXT_RESORT[self._resort]
+                self._resort = self._next_resort()
         else:
             self._failures = self._failures if request.retreat else 0
             self._resort = "none"
@@ -151,15 +189,41 @@ class Navigator:
         self._answered = request.future_collision_seq
         return request.plan(points)._replace(failed=self._failures > FAILURES_MAX)
 
+    def _next_resort(self) -> Resort:
+        following = _NEXT_RESORT[self._resort]
+        if following != "squeeze":
+            return following
+        if "squeeze" not in self._tactics.guards:
+            return _NEXT_RESORT[following]
+        self.acted["squeeze"] += 1
+        return following
+
     def _must_plan(self, now_s: float, position: Floats, verdict: Verdict) -> bool:
         points = self._points
         if points is None or verdict.future_collision_seq > self._answered:
             return True
-        if verdict.trajectory_seq == self._seq and math.isfinite(verdict.time_to_collision_s):
+        if self._by(
+            "recheck", verdict.trajectory_seq == self._seq and math.isfinite(verdict.time_to_collision_s)
+        ):
             return True
         if now_s >= points[-1, 0]:
             return self._retreating or bool(np.linalg.norm(position - self._goal) > _ARRIVED_M)
-        return self._strayed(now_s, position)
+        return self._by("strayed", self._strayed(now_s, position))
+
+    def _by(self, guard: GuardName, needed: bool) -> bool:
+        """Whether a guard that is switched on has found a plan ``needed``."""
+        acts = needed and guard in self._tactics.guards
+        self.acted[guard] += acts
+        return acts
+
+    def _waited(self, now_s: float, velocity: Floats) -> bool:
+        """Whether the vehicle has stood for as long as the pilot waits before it plans."""
+        if np.linalg.norm(velocity) > _STANDING_M_S:
+            self._standing_since_s = None
+            return False
+        if self._standing_since_s is None:
+            self._standing_since_s = now_s
+        return now_s - self._standing_since_s >= self._tactics.pace.plan_wait_s
 
     def _strayed(self, now_s: float, position: Floats) -> bool:
         """Whether the vehicle is not where the present trajectory wants it."""
@@ -176,7 +240,7 @@ class Navigator:
         ready_s = now_s + self._latency_s
         collision_s = verdict.checked_s + verdict.time_to_collision_s
         points = self._points
-        in_time = collision_s - now_s >= BRAKE_BELOW_S
+        in_time = self._tactics.leads_on and collision_s - now_s >= BRAKE_BELOW_S
         if points is not None and in_time and ready_s < points[-1, 0] and not self._strayed(now_s, position):
             row = points[np.searchsorted(points[:, 0], ready_s)]
             return Departure(row[0], row[1:4], row[4:7], row[7:10], row[10])
@@ -195,3 +259,17 @@ class Navigator:
         while self._trail and np.linalg.norm(position - self._trail[-1]) < _RETREAT_M:
             self._trail.pop()
         return self._trail[-1] if self._trail else None
+
+
+def looking_round(now_s: float, position: Floats, yaw: float, hover_s: float, turn_s: float) -> Floats:
+    """Trajectory (n, 12) that hovers at ``position`` (3,) for a time, then turns once on the spot."""
+    steps = max(math.ceil(turn_s / _HOLD_STEP_S), 1)
+    rows = np.zeros((steps + 2, POINT_FIELDS))
+    rows[1:, 0] = hover_s + np.linspace(0.0, turn_s, steps + 1)
+    rows[:, 0] += now_s
+    rows[:, 1:4] = position
+    rows[0, 10] = yaw
+    turned = yaw + np.linspace(0.0, math.tau, steps + 1)
+    rows[1:, 10] = (turned + math.pi) % math.tau - math.pi
+    rows[1:, 11] = 1.0
+    return rows

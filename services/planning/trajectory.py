@@ -21,6 +21,9 @@ MIDPOINTS_MAX = 40
 STEP_S = 0.25
 """Between points. The authors' 0.5 s let a chord of a turn stray 0.2 m from the curve."""
 
+HELD_STEP_S = 0.5
+"""Between points without the guard ``dense``: facts page, "smoothing"."""
+
 YAW_RATE_LIMIT_RAD_S = math.radians(75.0)
 """Below the 90 deg/s that control allows, so that control can catch up."""
 
@@ -57,10 +60,11 @@ def trajectory(
     limit: int = NEAR,
     speed_limit_m_s: float = SPEED_LIMIT_M_S,
     acceleration_limit_m_s2: float = ACCELERATION_LIMIT_M_S2,
+    step_s: float = STEP_S,
 ) -> NDArray[np.float64] | None:
     """Trajectory (n, 12) along ``path`` (m, 3): t, x y z, vx vy vz, ax ay az, yaw, blocking_yaw.
 
-    World frame, SI units, virtual time, ``STEP_S`` or a little less from point to point. Starts at
+    World frame, SI units, virtual time, ``step_s`` or a little less from point to point. Starts at
     ``departure``, ends at rest at the path's last point, keeps the limits of speed and acceleration and
     lets the safety body touch nothing that ``grid`` knows. The nose points along the motion; a vehicle
     that stands first turns on the spot, and these points have ``blocking_yaw`` set. ``limit`` is the
@@ -72,14 +76,14 @@ def trajectory(
         return None
     coefficients, durations = smooth
     flight_s = float(durations.sum())
-    times = np.linspace(0.0, flight_s, math.ceil(flight_s / STEP_S) + 1)
+    times = np.linspace(0.0, flight_s, math.ceil(flight_s / step_s) + 1)
     motion = sample(coefficients, durations, times)
-    turning = math.ceil(turn_s / STEP_S)
+    turning = math.ceil(turn_s / step_s)
     rows = np.zeros((turning + len(times), 12))
-    rows[:, 0] = departure.time_s + np.concatenate((np.arange(turning) * STEP_S, turning * STEP_S + times))
+    rows[:, 0] = departure.time_s + np.concatenate((np.arange(turning) * step_s, turning * step_s + times))
     rows[:turning, 1:4] = departure.position
     rows[turning:, 1:10] = motion
-    rows[:, 10] = _headings(rows, turning, departure.yaw, _heading_of(path, departure.yaw))
+    rows[:, 10] = _headings(rows, turning, departure.yaw, _heading_of(path, departure.yaw), step_s)
     rows[:turning, 11] = 1.0
     return rows
 
@@ -206,7 +210,7 @@ def _first_turn(path: NDArray[np.float64], departure: Departure) -> float:
 
 @njit(cache=True)
 def _headings(
-    rows: NDArray[np.float64], turning: int, yaw: float, first_heading: float
+    rows: NDArray[np.float64], turning: int, yaw: float, first_heading: float, step_s: float
 ) -> NDArray[np.float64]:
     """Yaw of each row: towards where the vehicle will be in ``_LOOK_AHEAD_S``, within the yaw rate.
 
@@ -214,7 +218,7 @@ def _headings(
     """
     headings = np.empty(len(rows))
     wanted = first_heading if turning else yaw
-    ahead = round(_LOOK_AHEAD_S / STEP_S)
+    ahead = round(_LOOK_AHEAD_S / step_s)
     for index in range(len(rows)):
         if index >= turning:
             there = rows[min(index + ahead, len(rows) - 1)]

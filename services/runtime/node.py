@@ -13,17 +13,18 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any, Literal, Self
 
 from services.bus import proxy_link, session
 from services.bus.horizon import NEVER_NS, Stamped
 from services.bus.messages import Injection, encode
-from services.bus.ports import Input, as_it_is
+from services.bus.ports import Input, Parse, as_it_is
 from services.bus.proxy_link import NodeLink, ProxyAnswer
 from services.bus.topics import STAGES, TOPICS, published_by
 from services.models.detection import AlarmRecord
+from services.runtime.guard_counts import GuardCounts
 from services.runtime.kernel_timer import KernelTimer
 from services.runtime.recovery import Recovery
 from services.runtime.setup import NodeSetup
@@ -53,6 +54,7 @@ class Node:
         self._proxy = proxy
         self._setup = setup
         self._page = stats.page
+        self.guards = GuardCounts(stats.page)
         self._timer = timer if timer is not None else KernelTimer(setup, proxy, stats.page)
         fault = setup.spec.fault
         self._source_fault = (
@@ -66,9 +68,9 @@ class Node:
 
     # -- declaring ---------------------------------------------------------------------------------
 
-    def input(self, name: str, parse: Callable[[Any], Any] = as_it_is) -> Input:
-        """Subscribe to a topic; ``parse`` as in :class:`Input`."""
-        self._inputs[name] = Input(TOPICS[name], parse, lambda: self.count("malformed"))
+    def input(self, name: str, parse: Parse = as_it_is) -> Input:
+        """Subscribe to a topic, checked by those guards of the mission that are checks of messages."""
+        self._inputs[name] = Input(TOPICS[name], parse, self.spec.message_checks, self.guards.refused)
         return self._inputs[name]
 
     def ready(self, *watched: str) -> None:

@@ -12,6 +12,7 @@ import os
 import numpy as np
 
 MAX_KERNELS = 16
+MAX_GUARDS = 16
 
 _LAYOUT = np.dtype(
     [
@@ -27,6 +28,7 @@ _LAYOUT = np.dtype(
         ("alarms", np.int64),  # outputs found wrong
         ("recomputed", np.int64),  # outputs made again
         ("ungated", np.int64),  # outputs without a verdict, as the detector had died
+        ("guards", np.int64, (MAX_GUARDS,)),  # what each did, in the order of their table
         ("compute_wall_ns", np.int64),
         ("messaging_wall_ns", np.int64),
         ("waiting_wall_ns", np.int64),

@@ -11,11 +11,19 @@ from detector.schemes.base import Scheme
 from detector.schemes.registry import in_flight, rehearse, with_models
 from detector.series.monitored_states import WATCHED
 from services.bus.arrays import Floats, vector
-from services.bus.detector_protocol import DetectorReply, answer, answered, asked, question
+from services.bus.detector_protocol import (
+    DetectorReply,
+    answer,
+    answered,
+    asked,
+    question,
+    shown_command,
+    shown_trajectory,
+    shown_verdict,
+)
 from services.bus.messages import CollisionCheck, Trajectory, Twist, TwistStamped, header
 from services.models.detection import DetectorSpec
 from services.models.inter_kernel_states import STATES
-from services.runtime.monitored_values import shown_command, shown_trajectory, shown_verdict
 from services.system.shared_stats import SharedStats
 
 

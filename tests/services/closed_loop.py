@@ -14,11 +14,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from services.bus.arrays import NO_PLAN, Plan, Verdict
-from services.control.follower import Follower
+from services.control.following import follower
+from services.models.mission import MissionSpec
 from services.perception.collision import CollisionCounter, time_to_collision
 from services.perception.occupancy import OccupancyMap
 from services.perception.point_cloud import point_cloud
-from services.planning.pilot import Navigator, PlanRequest
+from services.planning.pilot import Navigator, PlanRequest, Tactics
 from services.planning.planners import plan
 from services.planning.trajectory import trajectory
 from services.planning.voxels import unpack
@@ -103,8 +104,8 @@ class Loop:
         self.flight = Flight()
         self.occupancy = OccupancyMap()
         self.counter = CollisionCounter()
-        self.navigator = Navigator(GOAL, latencies.planning_s)
-        self.follower = Follower()
+        self.navigator = Navigator(GOAL, latencies.planning_s, Tactics())
+        self.follower = follower(MissionSpec())
         self.published = NO_PLAN
         self.perceived: tuple[float, Verdict, bytes] | None = None
         self.planned: tuple[float, Plan] | None = None

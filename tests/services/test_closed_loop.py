@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from services.control.follower import Follower
+from services.control.following import follower
+from services.models.mission import MissionSpec
 from services.perception.collision import CollisionCounter
 from services.perception.occupancy import OccupancyMap
-from services.planning.pilot import Navigator
+from services.planning.pilot import Navigator, Tactics
 from tests.services.closed_loop import GOAL, Latencies, Loop, fly, scattered, wall
 
 
@@ -48,9 +49,9 @@ def test_a_stage_that_lost_its_memory_in_flight_is_no_accident(stage: str, when_
     if stage == "perception":
         loop.occupancy, loop.counter, loop.perceived = OccupancyMap(), CollisionCounter(), None
     elif stage == "planning":
-        loop.navigator, loop.planned = Navigator(GOAL, loop.latencies.planning_s), None
+        loop.navigator, loop.planned = Navigator(GOAL, loop.latencies.planning_s, Tactics()), None
     else:
-        loop.follower = Follower()
+        loop.follower = follower(MissionSpec())
         loop.follower.take_trajectory(*loop.published[:3])
     assert loop.run(120.0).result == "success"
 

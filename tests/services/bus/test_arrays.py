@@ -25,6 +25,7 @@ from services.bus.arrays import (
     verdict,
 )
 from services.bus.arrays import point as point_message
+from services.bus.message_checks import ALL_CHECKS, CheckName, RefusedMessageError
 from services.bus.messages import (
     CollisionCheck,
     Goal,
@@ -148,3 +149,23 @@ def test_a_goal_out_of_this_world_is_refused(nonsense: float) -> None:
     goal = Goal(header(0, "map"), point_message(np.array([nonsense, 0.0, 3.0])), corner, corner)
     with pytest.raises(MalformedMessageError, match="goal"):
         sound_goal(goal)
+
+
+@pytest.mark.parametrize(
+    ("check", "bad"), [("finite", odometry(position=np.full(3, math.nan))), ("range", odometry(MOVING * 1e6))]
+)
+def test_a_check_that_is_switched_off_lets_through_what_it_would_refuse(
+    check: CheckName, bad: Odometry
+) -> None:
+    with pytest.raises(RefusedMessageError) as refused:
+        state(bad, ALL_CHECKS)
+    assert refused.value.check == check
+    assert state(bad, frozenset()).attitude == pytest.approx(AHEAD)
+
+
+def test_whole_points_are_asked_for_though_all_checks_are_off() -> None:
+    message = plan_message(header(0, "map"), Plan(3, 2, rows(4)[::-1], failed=False))
+    assert len(plan(message, frozenset()).points) == 4
+    message.points = message.points[:-1]
+    with pytest.raises(MalformedMessageError, match="numbers"):
+        plan(message, frozenset())

@@ -7,11 +7,22 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.control.pid import STATE_SIZE, YAW_RATE_LIMIT_RAD_S, pid, state_at, stopping
+from services.control.pid import (
+    REPORT_SIZE,
+    STATE_SIZE,
+    YAW_RATE_LIMIT_RAD_S,
+    pid,
+    state_at,
+    stopping,
+    tuning,
+)
+from services.models.pilots import ALL_GUARDS, PILOTS
 from services.models.safety import SPEED_LIMIT_M_S
 
 PERIOD_S = 0.04
 STILL = np.zeros(3)
+REPORT = np.zeros(REPORT_SIZE)
+GUARDED = tuning(PILOTS["guarded"], ALL_GUARDS)
 
 
 def motion(t: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -40,7 +51,7 @@ def command(
     velocity: NDArray[np.float64] = STILL,
     yaw: float = 0.0,
 ) -> NDArray[np.float64]:
-    return pid(trajectory, now_s, position, velocity, yaw, PERIOD_S, np.zeros(STATE_SIZE))
+    return pid(trajectory, now_s, position, velocity, yaw, PERIOD_S, np.zeros(STATE_SIZE), GUARDED, REPORT)
 
 
 def test_between_its_points_the_trajectory_is_the_curve_they_were_taken_from() -> None:
@@ -67,7 +78,7 @@ def test_a_vehicle_that_lags_follows_the_curve() -> None:
     errors = []
     for tick in range(450):
         now = tick * PERIOD_S
-        out = pid(rows, now, position, velocity, yaw, PERIOD_S, state)
+        out = pid(rows, now, position, velocity, yaw, PERIOD_S, state, GUARDED, REPORT)
         velocity += (out[:3] - velocity) * PERIOD_S / 0.3
         position += velocity * PERIOD_S
         yaw += out[3] * PERIOD_S
@@ -79,7 +90,7 @@ def test_a_vehicle_that_lags_follows_the_curve() -> None:
 def test_a_steady_wind_is_integrated_away() -> None:
     position, state = np.zeros(3), np.zeros(STATE_SIZE)
     for _ in range(2000):
-        out = pid(hover(0, 0, 0), 0.5, position, STILL, 0.0, PERIOD_S, state)
+        out = pid(hover(0, 0, 0), 0.5, position, STILL, 0.0, PERIOD_S, state, GUARDED, REPORT)
         position += (out[:3] + np.array([0.15, 0.0, 0.0])) * PERIOD_S
     assert np.linalg.norm(position) < 0.02
 
@@ -113,7 +124,7 @@ def test_no_nonsense_reaches_the_command(nonsense: float) -> None:
         rows = motion(np.arange(0.0, 1.0, 0.25))
         rows[row, column] = nonsense
         for now in (0.3, 0.6):
-            out = pid(rows, now, STILL, STILL, 0.0, PERIOD_S, state)
+            out = pid(rows, now, STILL, STILL, 0.0, PERIOD_S, state, GUARDED, REPORT)
             assert np.isfinite(out).all()
             assert np.isfinite(state).all()
             assert math.hypot(out[0], out[1]) <= SPEED_LIMIT_M_S + 1e-9
@@ -126,7 +137,7 @@ def test_no_nonsense_reaches_the_command(nonsense: float) -> None:
 
 def test_a_poisoned_integral_recovers() -> None:
     state = np.full(STATE_SIZE, math.nan)
-    assert np.isfinite(pid(hover(0, 0, 0), 0.5, STILL, STILL, 0.0, PERIOD_S, state)).all()
+    assert np.isfinite(pid(hover(0, 0, 0), 0.5, STILL, STILL, 0.0, PERIOD_S, state, GUARDED, REPORT)).all()
     assert np.isfinite(state).all()
 
 
@@ -144,7 +155,17 @@ def test_a_vehicle_that_faces_aside_has_turned_within_a_second_and_a_quarter() -
     yaw, yaws = 0.0, []
     for tick in range(32):
         yaw += (
-            pid(hover(0, 0, 0, 0.5), tick * PERIOD_S, STILL, STILL, yaw, PERIOD_S, np.zeros(STATE_SIZE))[3]
+            pid(
+                hover(0, 0, 0, 0.5),
+                tick * PERIOD_S,
+                STILL,
+                STILL,
+                yaw,
+                PERIOD_S,
+                np.zeros(STATE_SIZE),
+                GUARDED,
+                REPORT,
+            )[3]
             * PERIOD_S
         )
         yaws.append(yaw)
@@ -161,7 +182,7 @@ def test_a_vehicle_a_metre_aside_is_back_within_three_seconds() -> None:
     position, velocity, state = np.array([1.0, 0.0, 0.0]), np.zeros(3), np.zeros(STATE_SIZE)
     places = []
     for tick in range(75):
-        out = pid(hover(0, 0, 0), tick * PERIOD_S, position, velocity, 0.0, PERIOD_S, state)
+        out = pid(hover(0, 0, 0), tick * PERIOD_S, position, velocity, 0.0, PERIOD_S, state, GUARDED, REPORT)
         velocity += (out[:3] - velocity) * PERIOD_S / 0.3
         position += velocity * PERIOD_S
         places.append(position[0])
@@ -178,5 +199,8 @@ def test_a_speed_that_the_trajectory_does_not_have_is_braked() -> None:
 def test_what_a_minute_far_away_leaves_in_the_integral_is_soon_flown_off() -> None:
     there, state = hover(5.0, 0.0, 0.0), np.zeros(STATE_SIZE)
     for _ in range(1500):
-        pid(there, 0.5, STILL, STILL, 0.0, PERIOD_S, state)
-    assert abs(pid(there, 0.5, np.array([5.0, 0.0, 0.0]), STILL, 0.0, PERIOD_S, state)[0]) <= 0.2
+        pid(there, 0.5, STILL, STILL, 0.0, PERIOD_S, state, GUARDED, REPORT)
+    assert (
+        abs(pid(there, 0.5, np.array([5.0, 0.0, 0.0]), STILL, 0.0, PERIOD_S, state, GUARDED, REPORT)[0])
+        <= 0.2
+    )

@@ -8,8 +8,8 @@ import pytest
 from pydantic import ValidationError
 
 from deploy.config.check import one_line
+from services.models.equipment import PROFILES
 from services.models.mission import FaultSpec, MissionSpec
-from services.models.profiles import PROFILES
 
 
 def test_the_paper_profile_sets_the_published_parameters() -> None:

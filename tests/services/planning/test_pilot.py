@@ -7,8 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from services.bus.arrays import Verdict
+from services.models.mission import MissionSpec
+from services.models.pilots import ALL_GUARDS, Pace
 from services.models.safety import BRAKE_BELOW_S
-from services.planning.pilot import FAILURES_MAX, GOAL_FAILURES_MAX, Navigator, PlanRequest
+from services.planning.pilot import FAILURES_MAX, GOAL_FAILURES_MAX, Navigator, PlanRequest, Tactics, tactics
 from services.planning.voxels import CLOSE, NEAR
 
 HERE, GOAL = np.array([0.0, 0.0, 3.0]), np.array([50.0, 0.0, 3.0])
@@ -53,7 +55,7 @@ def asked(
 @pytest.fixture
 def flying() -> Navigator:
     """On its way with trajectory 1 since t = 1."""
-    navigator = Navigator(GOAL, LATENCY_S)
+    navigator = Navigator(GOAL, LATENCY_S, Tactics())
     request = asked(navigator, 0.5, HERE, 0)
     assert (request.trajectory_seq, request.future_collision_seq, request.limit) == (1, 0, NEAR)
     answer = navigator.answer(request, eastwards(1.0))
@@ -103,14 +105,14 @@ def test_a_vehicle_that_strayed_gets_a_new_trajectory(flying: Navigator) -> None
 
 
 def test_a_trajectory_that_is_no_number_is_replaced() -> None:
-    navigator = Navigator(GOAL, LATENCY_S)
+    navigator = Navigator(GOAL, LATENCY_S, Tactics())
     navigator.answer(asked(navigator, 0.5, HERE, 0), np.full((40, 12), math.nan))
     assert consider(navigator, 3.0, at(3.0), Verdict(2.9, 1, 0, math.inf)) is not None
 
 
 def test_the_count_of_trajectories_stays_in_its_field() -> None:
     last = 2**32 - 1
-    assert asked(Navigator(GOAL, LATENCY_S), 0.5, HERE, last, fcs=last).trajectory_seq == last
+    assert asked(Navigator(GOAL, LATENCY_S, Tactics()), 0.5, HERE, last, fcs=last).trajectory_seq == last
 
 
 def test_a_trajectory_that_ended_short_of_the_goal_is_followed_by_another(flying: Navigator) -> None:
@@ -120,7 +122,7 @@ def test_a_trajectory_that_ended_short_of_the_goal_is_followed_by_another(flying
 
 
 def test_restarted_in_flight_it_plans_at_once_and_goes_on_counting() -> None:
-    navigator = Navigator(GOAL, LATENCY_S)
+    navigator = Navigator(GOAL, LATENCY_S, Tactics())
     request = consider(navigator, 30.0, at(6.0), Verdict(29.9, 5, 3, math.inf))
     assert request is not None
     assert (request.trajectory_seq, request.future_collision_seq) == (6, 3)
@@ -167,13 +169,13 @@ def test_a_retreat_leads_back_along_the_way_and_then_to_the_goal(flying: Navigat
 
 
 def test_the_mission_is_given_up_after_too_many_failures_in_a_row() -> None:
-    navigator = Navigator(GOAL, LATENCY_S)
+    navigator = Navigator(GOAL, LATENCY_S, Tactics())
     answers = [navigator.answer(asked(navigator, t, HERE, 0), None) for t in range(FAILURES_MAX + 1)]
     assert [answer.failed for answer in answers] == [False] * FAILURES_MAX + [True]
 
 
 def test_a_path_to_the_goal_ends_the_row_of_failures() -> None:
-    navigator = Navigator(GOAL, LATENCY_S)
+    navigator = Navigator(GOAL, LATENCY_S, Tactics())
     for t in range(FAILURES_MAX):
         navigator.answer(asked(navigator, t, HERE, 0), None)
     navigator.answer(asked(navigator, 50.0, HERE, 0), eastwards(50.0))
@@ -181,26 +183,26 @@ def test_a_path_to_the_goal_ends_the_row_of_failures() -> None:
 
 
 def test_the_box_to_search_holds_start_and_goal_and_the_allowed_heights() -> None:
-    low, high = asked(Navigator(GOAL, LATENCY_S), 0.5, HERE, 0).box()
+    low, high = asked(Navigator(GOAL, LATENCY_S, Tactics()), 0.5, HERE, 0).box()
     assert (low[:2] < HERE[:2]).all()
     assert (high[:2] > GOAL[:2]).all()
     assert (low[2], high[2]) == (1.0, 10.0)
 
 
 def test_a_goal_is_reached_at_the_end_of_its_trajectory_and_missed_where_that_ends_elsewhere() -> None:
-    navigator = Navigator(at(16.0), LATENCY_S)
+    navigator = Navigator(at(16.0), LATENCY_S, Tactics())
     assert navigator.arrival(0.5, HERE) is None
     navigator.answer(asked(navigator, 0.5, HERE, 0), eastwards(1.0))
     assert navigator.arrival(9.0, at(9.0)) is None
     assert navigator.arrival(16.1, at(16.0) + 0.2) is True
-    short = Navigator(GOAL, LATENCY_S)
+    short = Navigator(GOAL, LATENCY_S, Tactics())
     short.answer(asked(short, 0.5, HERE, 0), eastwards(1.0))
     assert short.arrival(16.1, at(16.0)) is False
     assert short.arrival(16.1, at(13.0)) is None  # strayed: planned anew, not given up
 
 
 def test_a_goal_is_given_up_after_some_failures_and_the_next_is_planned_to_at_once() -> None:
-    navigator = Navigator(GOAL, LATENCY_S)
+    navigator = Navigator(GOAL, LATENCY_S, Tactics())
     for t in range(GOAL_FAILURES_MAX):
         assert navigator.arrival(t, HERE) is None
         assert not navigator.answer(asked(navigator, t, HERE, 0), None).failed
@@ -213,7 +215,7 @@ def test_a_goal_is_given_up_after_some_failures_and_the_next_is_planned_to_at_on
 
 
 def test_the_next_goal_is_planned_to_from_where_the_last_was_reached() -> None:
-    navigator = Navigator(at(16.0), LATENCY_S)
+    navigator = Navigator(at(16.0), LATENCY_S, Tactics())
     navigator.answer(asked(navigator, 0.5, HERE, 0), eastwards(1.0))
     verdict = Verdict(16.0, 1, 0, math.inf)
     assert consider(navigator, 16.1, at(16.0), verdict, STILL) is None
@@ -222,3 +224,58 @@ def test_the_next_goal_is_planned_to_from_where_the_last_was_reached() -> None:
     assert request is not None
     assert list(request.goal) == list(HERE)
     assert list(request.departure.position) == list(at(16.0))
+
+
+BASELINE = tactics(
+    MissionSpec(pilot="baseline", pace=Pace(take_off_s=2.0, look_round_s=4.0, plan_wait_s=3.0))
+)
+
+
+def test_the_baseline_hovers_and_looks_round_before_its_first_plan() -> None:
+    navigator = Navigator(GOAL, LATENCY_S, BASELINE)
+    opening = navigator.opening(0.5, HERE, 1.0, Verdict(0.5, 0, 0, math.inf))
+    assert opening is not None
+    assert (opening.trajectory_seq, len(opening.points)) == (0, 10)
+    assert opening.points[[0, -1], 0].tolist() == [0.5, 6.5]
+    assert (opening.points[:, 1:4] == HERE).all()
+    assert np.ptp(np.unwrap(opening.points[:, 10])) == pytest.approx(math.tau)
+    assert navigator.opening(0.6, HERE, 1.0, Verdict(0.5, 0, 0, math.inf)) is None
+    assert consider(navigator, 6.0, HERE, Verdict(6.0, 0, 0, math.inf), STILL) is None
+
+
+def test_a_baseline_that_is_started_again_in_flight_does_not_look_round() -> None:
+    navigator = Navigator(GOAL, LATENCY_S, BASELINE)
+    assert navigator.opening(9.0, HERE, 1.0, Verdict(9.0, 3, 0, math.inf)) is None
+
+
+def test_the_baseline_plans_when_it_has_stood_for_a_while() -> None:
+    navigator = Navigator(GOAL, LATENCY_S, BASELINE)
+    collides = Verdict(9.0, 1, 1, 3.0)
+    assert consider(navigator, 9.0, HERE, collides, FAST) is None
+    assert consider(navigator, 10.0, HERE, collides, STILL) is None
+    assert consider(navigator, 12.0, HERE, collides, FAST) is None  # pushed on: it begins anew
+    assert consider(navigator, 13.0, HERE, collides, STILL) is None
+    request = consider(navigator, 16.0, HERE, collides, STILL)
+    assert request is not None
+    assert not request.departure.velocity.any()
+
+
+def test_without_their_guards_it_does_not_mind_where_it_is_and_what_was_not_counted() -> None:
+    for guards, minds in ((ALL_GUARDS, True), (ALL_GUARDS - {"strayed", "recheck"}, False)):
+        navigator = Navigator(GOAL, LATENCY_S, Tactics(guards=guards))
+        navigator.answer(asked(navigator, 0.5, HERE, 0), eastwards(1.0))
+        strayed = at(3.0) + np.array([0.0, 4.0, 0.0])
+        assert (consider(navigator, 3.0, strayed, Verdict(3.0, 1, 0, math.inf)) is not None) is minds
+        assert navigator.acted["strayed"] == minds
+        assert (consider(navigator, 3.0, at(3.0), Verdict(3.0, 2 - minds, 0, 3.0)) is not None) is False
+
+
+def test_without_squeeze_it_retreats_when_there_is_no_way() -> None:
+    for guards, retreats in ((ALL_GUARDS, False), (ALL_GUARDS - {"squeeze"}, True)):
+        navigator = Navigator(GOAL, LATENCY_S, Tactics(guards=guards))
+        for x in (0.0, 2.0, 4.0):
+            request = asked(navigator, 0.5, np.array([x, 0.0, 3.0]), 0)
+        navigator.answer(request, None)
+        again = asked(navigator, 1.0, np.array([6.0, 0.0, 3.0]), 0)
+        assert (again.limit, again.retreat) == (CLOSE, retreats)
+        assert navigator.acted["squeeze"] == (not retreats)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from services.bus.messages import Octomap, header
+from services.bus.messages import MalformedMessageError, Octomap, header
 from services.bus.octomaps import MalformedMap, sound_map
 from services.planning.voxels import CLOSE, FREE, NEAR, OCCUPIED, VoxelGrid, unpack
 from tests.services.planning.maps import HIGH, LOW, RESOLUTION_M, box, grid, open_space, payload, tree
@@ -95,7 +95,7 @@ def test_a_map_of_absurd_resolution_is_refused(resolution_m: float) -> None:
     message = Octomap(
         header(0, "map"), binary=True, id="OcTree", resolution=resolution_m, data=np.zeros(0, np.int8)
     )
-    with pytest.raises(MalformedMap, match="resolution"):
+    with pytest.raises(MalformedMessageError, match="resolution"):
         sound_map(message)
 
 

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.control.follower import WAYPOINT_FIELDS, Follower, past, waypoints
+from services.control.curve_follower import CurveFollower, past
+from services.control.follower import WAYPOINT_FIELDS, Follower, waypoints
 from services.control.pid import state_at
+from services.models.pilots import ALL_GUARDS, PILOTS
 from services.models.safety import BRAKE_BELOW_S
 
 HERE = np.array([0.0, 0.0, 3.0])
@@ -33,14 +35,14 @@ def forward_speed(follower: Follower, now_s: float, x: float, speed: float = 3.0
 
 @pytest.fixture
 def flying() -> Follower:
-    follower = Follower()
+    follower = CurveFollower(PILOTS["guarded"], ALL_GUARDS)
     assert follower.take_trajectory(1, 0, eastwards())
     assert forward_speed(follower, 1.0, 3.0) == pytest.approx(3.0)
     return follower
 
 
 def test_without_a_trajectory_it_stops_and_hovers() -> None:
-    follower = Follower()
+    follower = CurveFollower(PILOTS["guarded"], ALL_GUARDS)
     assert forward_speed(follower, 5.0, 10.0) == pytest.approx(3.0)
     assert forward_speed(follower, 5.5, 11.0, 1.0) < 1.5
     # Rest is a second and a bit later and about a metre farther on.
@@ -105,7 +107,7 @@ def test_an_empty_trajectory_stops_the_vehicle(flying: Follower) -> None:
 
 
 def test_restarted_in_flight_it_goes_on_with_the_newest_trajectory() -> None:
-    follower = Follower()
+    follower = CurveFollower(PILOTS["guarded"], ALL_GUARDS)
     forward_speed(follower, 6.0, 18.0)
     follower.take_verdict(5.9, 4, 3, math.inf)
     follower.take_trajectory(4, 3, eastwards())
