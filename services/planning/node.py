@@ -13,6 +13,7 @@ from services.bus.detector_protocol import shown_trajectory
 from services.bus.messages import header
 from services.bus.octomaps import MalformedMap, sound_map
 from services.bus.proxy_link import NodeLink
+from services.bus.topics import TOPICS
 from services.kernels import GOAL_KERNELS
 from services.planning.goals import GoalContext, Goals, goals, warm_up_goals
 from services.planning.pilot import Navigator, PlanRequest, tactics
@@ -63,6 +64,9 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
                 navigator = heading
                 opening = navigator.opening(node.now_ns / 1e9, now.position, now.yaw, found)
                 if opening is not None:
+                    # No kernel runs, but nobody may see a trajectory sooner than one could.
+                    made_after = node.spec.kernels_before(TOPICS["trajectory"])
+                    node.now_ns += sum(node.latency(name).least_ns for name in made_after)
                     node.put("trajectory", plan_message(header(node.now_ns, "map"), opening))
                     continue
                 request = navigator.consider(node.now_ns / 1e9, now.position, now.velocity, now.yaw, found)
@@ -96,7 +100,7 @@ def guided(
     if goal is None:
         return None
     if navigator is None:
-        latency_s = (node.slow_ns(node.spec.planner) + node.slow_ns("trajectory")) / 1e9
+        latency_s = sum(node.latency(name).slow_ns for name in (node.spec.planner, "trajectory")) / 1e9
         return Navigator(goal, latency_s, tactics(node.spec))
     navigator.head_for(goal)
     return navigator

@@ -165,6 +165,12 @@ class BusProxy:
         if topic == "injection":
             self.session.put(session.topic_key(topic), payload)
             return
+        outlets = list(self._outlets)
+        promised = self._promised[2 + outlets.index(topic)] if self._promised else 0
+        if ready_ns < promised:
+            # Others may have gone on already, sooner or later as the machine goes: it would not repeat.
+            message = f"{self.name} has {topic} at {ready_ns} ns, and promised none before {promised}"
+            raise proxy_link.NonsenseError(message)
         self._outlets[topic].put(payload, ready_ns)
 
     def promise(self, base_ns: int, busy_until_ns: int) -> None:

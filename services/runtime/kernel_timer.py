@@ -82,9 +82,9 @@ class KernelTimer:
         """The time at which a call that began at ``now_ns`` ends on the mission's platform."""
         return now_ns + self._latencies[kernel].of(invocation)
 
-    def slow_ns(self, kernel: str) -> int:
-        """The virtual time that a kernel seldom exceeds (one call in twenty) on the mission's platform."""
-        return self._latencies[kernel].slow_ns
+    def latency(self, kernel: str) -> Latency:
+        """The latency of a kernel on the mission's platform."""
+        return self._latencies[kernel]
 
     def _is_armed(self, kernel: str, invocation: int, now_ns: int) -> bool:
         """Whether this call is the one that the fault is for; at most one is between two restarts."""

@@ -8,8 +8,10 @@ import pytest
 from numpy.typing import NDArray
 
 from deploy.config.processes import STACK
+from deploy.errors import DisturbedFlightError
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
+from deploy.mission.golden_twin import PairFlyer
 from services.bus.horizon import Stamped
 from services.bus.messages import decode
 from services.bus.topics import TOPICS
@@ -55,3 +57,14 @@ def test_nonsense_crashes_nobody_and_never_reaches_the_command(
     assert (np.hypot(flown[:, 0], flown[:, 1]) <= SPEED_LIMIT_M_S + 1e-9).all()
     assert (np.abs(flown[:, 2]) <= SPEED_LIMIT_M_S).all()
     assert (np.abs(flown[:, 3]) <= YAW_RATE_LIMIT_RAD_S).all()
+
+
+def test_a_message_before_the_time_that_was_promised_ends_its_node() -> None:
+    """Others may have gone on already or not, as the machine goes: such a flight would not repeat."""
+    early = replace(STACK["control"], module="tests.fixtures.nodes.early")
+    server = ForkServer({**STACK, "control": early})
+    try:
+        with pytest.raises(DisturbedFlightError, match="control died in a flight without a fault: nonsense"):
+            PairFlyer(server).fly(SPEC)
+    finally:
+        server.close()
