@@ -46,8 +46,9 @@ def test_commands_end_with_it(tmp_path: Path) -> None:
 
 def test_the_two_halves_are_all_tests_of_the_gate() -> None:
     *_, one, other = launch.commands("test", [])
-    assert one == ["pytest", "-m", "not soak", "tests/dashboard"]
-    assert other == ["pytest", "-m", "not soak", "--ignore=tests/dashboard"]
+    assert one == ["pytest", "-m", "not soak", *launch.SECOND_HALF]
+    assert other == ["pytest", "-m", "not soak", *(f"--ignore={name}" for name in launch.SECOND_HALF)]
+    assert all((ROOT / name).is_dir() for name in launch.SECOND_HALF)
 
 
 def test_tests_that_are_asked_for_run_once() -> None:
