@@ -12,7 +12,7 @@ from typing import Any
 import click
 from rich.console import Console
 
-from dashboard.analysis import tables
+from dashboard.analysis import results_page, tables
 from dashboard.campaigns import commands
 from dashboard.campaigns.executors.choice import FORM, parse_executor, slots_of
 from dashboard.campaigns.forecast import forecast
@@ -210,9 +210,16 @@ def export_(label: str, file: Path, store: str) -> None:
 @click.argument("label")
 @click.argument("other", required=False)
 @click.option("--against", metavar="ARM", help="Compare every arm with this one instead of golden twins.")
+@click.option(
+    "--page",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write a page of results as well: FILE.md.",
+)
 @in_store
 @as_json
-def compare_(label: str, other: str | None, against: str | None, store: str, as_json: bool) -> None:
+def compare_(
+    label: str, other: str | None, against: str | None, page: Path | None, store: str, as_json: bool
+) -> None:
     """Set flights beside flights of the same seeds.
 
     Each cell of the campaign LABEL is compared with its golden twins, with the arm --against, or
@@ -223,9 +230,13 @@ def compare_(label: str, other: str | None, against: str | None, store: str, as_
     with contextlib.closing(Store(store)) as opened:
         found = opened.find(label)
         compared = side_by_side(opened, found, opened.find(other) if other else None, against)
+        lines = summary(opened, found)
     if not compared:
         message = f"{found.label}: nothing to compare: no two flights are of the same cell and seed"
         raise BadSpecError(message)
+    if page is not None:
+        told = " ".join([label, *filter(None, [other, against and f"--against {against}"])])
+        results_page.write(page, found, lines, compared, f"zenfi campaign compare {told} --page {page}")
     if as_json:
         for one in compared:
             click.echo(one.model_dump_json())

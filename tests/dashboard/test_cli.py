@@ -123,7 +123,12 @@ def test_a_campaign_flies_its_arms_and_sums_them_up(tmp_path: Path) -> None:
     assert last["phase"] == "done"
     compared = zenfi("campaign", "compare", "x-1", "--json")
     assert json.loads(compared.stdout)["pairs"] == 2
-    assert zenfi("campaign", "compare", "x-1", "--against", "golden").returncode == 0
+    page = tmp_path / "results.md"
+    assert zenfi("campaign", "compare", "x-1", "--against", "golden", "--page", str(page)).returncode == 0
+    told = page.read_text()
+    assert f"zenfi campaign compare x-1 --against golden --page {page}" in told
+    assert "beside golden" in told
+    assert sum(line.startswith("| ") for line in told.splitlines()) == 3  # a head and two arms
     assert "x-1" in zenfi("campaign", "list").stdout
     shown = [json.loads(line) for line in zenfi("campaign", "show", "x-1", "--json").stdout.splitlines()]
     assert shown[0]["done"] == 4
