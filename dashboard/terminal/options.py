@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import click
 
 from dashboard.campaigns.store.queries import default_folder
@@ -62,9 +64,11 @@ def fault_fields(text: str) -> dict[str, object]:
     return fields
 
 
-def _number(word: str) -> int | str:
+def _number(word: str) -> int | float | str:
     """Numbers as numbers: a specification takes no text for one of two values."""
-    return int(word) if word.isascii() and word.isdigit() else word
+    if word.isascii() and word.isdigit():
+        return int(word)
+    return float(word) if re.fullmatch(r"[0-9]+\.[0-9]*", word) else word
 
 
 def detector_fields(text: str) -> dict[str, str]:

@@ -75,7 +75,8 @@ def fly(
         with session.open_session(address, "router", router=True) as bus:
             held = spec.fault is not None or spec.detector is not None
             order = MessageOrder(recorder, held=held, realtime=clock is not None)
-            listening = MissionBus(bus, recorder, order)
+            recurs = spec.fault is not None and spec.fault.recurrence != "once"
+            listening = MissionBus(bus, recorder, order, recurs=recurs)
             supervisor = Supervisor(server, address, spec.limits.hang_cpu_s)
             try:
                 mission = _Mission(spec, server, supervisor, listening, clock)

@@ -15,21 +15,25 @@ from deploy.recording.recorder import FlightRecorder
 from services.bus import session
 from services.bus.messages import Alarm, Injection, MalformedMessageError, decode, encode
 from services.bus.topics import RECORDED, STAGES, TOPICS
-from services.models.outcome import InjectionRecord, repeatable
+from services.models.outcome import InjectionRecord, repeatable, with_strike
 
 
 class MissionBus:
     """Takes in all that the nodes of one mission publish, and gives them what they missed.
 
-    Zenoh's threads only queue what arrives; it is handled within :meth:`take_in`.
+    Zenoh's threads only queue what arrives; it is handled within :meth:`take_in`. Of a fault that ``recurs``
+    the strikes are counted.
     """
 
-    def __init__(self, bus: zenoh.Session, recorder: FlightRecorder, order: MessageOrder) -> None:
+    def __init__(
+        self, bus: zenoh.Session, recorder: FlightRecorder, order: MessageOrder, *, recurs: bool = False
+    ) -> None:
         self.recorder = recorder
         self.alarms = Alarms()
         self.injection: InjectionRecord | None = None
         self.last_message_s = time.monotonic()
         self._order = order
+        self._recurs = recurs
         self._events: queue.SimpleQueue[tuple[Callable[[Any], None], Any]] = queue.SimpleQueue()
         self._declared: list[Any] = []
         for topic in RECORDED:
@@ -85,7 +89,8 @@ class MissionBus:
 
     def _take_injection(self, sample: zenoh.Sample) -> None:
         message = decode(sample.payload.to_bytes(), TOPICS["injection"].type)
-        record = self.injection = InjectionRecord.model_validate_json(message.record)
+        record = InjectionRecord.model_validate_json(message.record)
+        self.injection = with_strike(self.injection, record) if self._recurs else record
         event = Injection(record=repeatable(record).model_dump_json(by_alias=True))
         self._order.tell("injection", record.virtual_time_ns, encode(event, TOPICS["injection"].type))
 

@@ -15,7 +15,7 @@ _SAME = (
     *("module", "build_id", "offset", "symbol"),
     *("instruction_bytes", "operand", "register_name", "width_bits", "bits", "address", "resampled"),
     *("model", "scope", "element_bits", "instruction_after", "held_instructions", "state", "point"),
-    *("before", "after", "read_back"),
+    *("before", "after", "read_back", "strikes", "struck"),
 )
 
 ReplayAnswer = Literal["replayed", "relocated", "diverged", "not_reached"]

@@ -54,6 +54,10 @@ class FaultSpec(Strict):
     ``trigger`` may be left out; it is drawn then, from ``seed``. A stored outcome's specification says
     exactly when the fault struck.
 
+    ``recurrence`` says how often it strikes (level source): ``once``; and from ``from_s`` to ``until_s``
+    ``intermittent``, each message with ``probability``; ``permanent``, each message in the same bits;
+    ``rate``, as a Poisson process of ``rate_hz`` in virtual time, each upset in the next message.
+
     Models: ``bitflip`` inverts bits of a register; ``stuck_at`` holds them at ``stuck_value`` for
     ``stuck_instructions``; ``opcode`` inverts bits of the instruction for one execution; ``memory``
     inverts bits of the word that the instruction reads or writes; ``none`` does everything but the flip.
@@ -77,6 +81,11 @@ class FaultSpec(Strict):
     )
     components: Literal["one", "all"] = Field(default="one", description="of a vector of states")
     point: int | None = Field(default=None, ge=0, description="of a trajectory, instead of a drawn one")
+    recurrence: Literal["once", "intermittent", "permanent", "rate"] = "once"
+    probability: float | None = Field(default=None, gt=0, le=1, description="that a message is struck")
+    rate_hz: float | None = Field(default=None, gt=0, le=1000, description="upsets per virtual second")
+    from_s: float = Field(default=0.0, ge=0, le=3600, description="virtual time from which it recurs")
+    until_s: float | None = Field(default=None, gt=0, le=3600, description="virtual time until which")
     trigger: Trigger | None = None
 
     @model_validator(mode="after")
@@ -92,6 +101,7 @@ class FaultSpec(Strict):
             yield from self._source_problems()
         elif self.components != "one" or self.point is not None:
             yield "components and point go with level source"
+        yield from self._recurrence_problems()
         stuck = (self.stuck_value, self.stuck_instructions)
         if self.model == "stuck_at" and None in stuck:
             yield "model stuck_at needs stuck_value (0 or 1) and stuck_instructions (how many)"
@@ -105,6 +115,18 @@ class FaultSpec(Strict):
             yield from self._field_problems()
         if self.bit_numbers is not None:
             yield from self._bit_number_problems(self.bit_numbers)
+
+    def _recurrence_problems(self) -> Iterator[str]:
+        if self.recurrence != "once" and self.level != "source":
+            yield f"recurrence {self.recurrence} goes with level source"
+        needs = {"intermittent": "probability", "rate": "rate_hz"}
+        for kind, name in needs.items():
+            if (getattr(self, name) is not None) != (self.recurrence == kind):
+                yield f"recurrence {kind} and {name} go together"
+        if self.recurrence == "once" and (self.from_s, self.until_s) != (0.0, None):
+            yield "from_s and until_s go with a recurrence: intermittent, permanent or rate"
+        if self.until_s is not None and self.until_s <= self.from_s:
+            yield f"until_s: {self.until_s} s is not after from_s, {self.from_s} s"
 
     def _source_problems(self) -> Iterator[str]:
         if self.model not in ("bitflip", "none"):

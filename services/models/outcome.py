@@ -44,6 +44,23 @@ NO_FLIGHT = QoF(
 """Of a mission that died before its first report."""
 
 
+STRIKES_KEPT = 100
+"""Of a fault that recurs: so many of its strikes are in its record, all are counted."""
+
+
+class RepeatedInjection(Strict):
+    """One strike of a fault that recurs; values as in :class:`InjectionRecord`."""
+
+    invocation: int
+    virtual_time_ns: int
+    state: list[str]
+    point: int
+    bits: list[int]
+    before: str
+    after: str
+    read_back: str
+
+
 class InjectionRecord(Strict):
     """One injection in full: where and when it struck, and what it changed.
 
@@ -87,10 +104,26 @@ class InjectionRecord(Strict):
     pause_us: float = 0.0
     threads_stopped: int = 0
     trigger: Trigger | None = Field(default=None, description="when it struck, for the same again")
+    strikes: int = Field(default=0, description="of a fault that recurs: how often it struck")
+    struck: list[RepeatedInjection] = Field(default=[], description=f"of these the first {STRIKES_KEPT}")
     probes: int = Field(default=0, description="copies of the node that were run ahead to find the site")
     resampled: int = Field(
         default=0, description="sites passed over: system call, nothing eligible, outside the scope"
     )
+
+
+def with_strike(so_far: InjectionRecord | None, record: InjectionRecord) -> InjectionRecord:
+    """The record of a fault that recurs, after one more ``record``: the first strike's, and the count."""
+    base = record if so_far is None or not so_far.strikes else so_far
+    if record.status != "injected":
+        return base
+    strikes, struck = (0, []) if so_far is None else (so_far.strikes, so_far.struck)
+    if len(struck) < STRIKES_KEPT:
+        told = RepeatedInjection.model_validate(
+            {name: getattr(record, name) for name in RepeatedInjection.model_fields}
+        )
+        struck = [*struck, told]
+    return base.model_copy(update={"strikes": strikes + 1, "struck": struck})
 
 
 def repeatable(record: InjectionRecord) -> InjectionRecord:

@@ -26,6 +26,7 @@ from services.bus.topics import STAGES, TOPICS, published_by
 from services.models.detection import AlarmRecord
 from services.runtime.guard_counts import GuardCounts
 from services.runtime.kernel_timer import KernelTimer
+from services.runtime.latency import Latency
 from services.runtime.recovery import Recovery
 from services.runtime.setup import NodeSetup
 from services.runtime.source_fault import SourceFault
@@ -58,7 +59,9 @@ class Node:
         self._timer = timer if timer is not None else KernelTimer(setup, proxy, stats.page)
         fault = setup.spec.fault
         self._source_fault = (
-            SourceFault(fault, setup.spec.seed) if fault is not None and fault.level == "source" else None
+            SourceFault(fault, setup.spec.seed, setup.start_ns)
+            if fault is not None and fault.level == "source"
+            else None
         )
         self.recovery = Recovery(self, setup.spec.detector)
         self._inputs: dict[str, Input] = {}
@@ -104,8 +107,7 @@ class Node:
         fault = self._source_fault
         if fault is None or fault.topic != topic:
             return
-        record = fault.strike(message, self._published[topic], self.now_ns)
-        if record is not None:
+        for record in fault.strike(message, self._published[topic], self.now_ns):
             self._tell("injection", Injection(record=record.model_dump_json(by_alias=True)))
 
     def tell_alarm(self, record: AlarmRecord) -> None:
@@ -158,9 +160,9 @@ class Node:
         """Advance the virtual time by the latency of this node's ``number``-th check by the detector."""
         self.now_ns = self._timer.end_ns(self.now_ns, DETECTOR, number)
 
-    def slow_ns(self, kernel: str) -> int:
-        """The virtual time that a kernel seldom exceeds (one call in twenty) on the mission's platform."""
-        return self._timer.slow_ns(kernel)
+    def latency(self, kernel: str) -> Latency:
+        """The latency of a kernel on the mission's platform."""
+        return self._timer.latency(kernel)
 
     def verdict(self, payload: bytes) -> bytes | None:
         """The detector's answer to a question; None if it is dead."""

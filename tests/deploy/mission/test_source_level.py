@@ -34,3 +34,26 @@ def test_an_unknown_state_or_field_is_refused() -> None:
         check(spec(target="wings"))
     with pytest.raises(BadSpecError, match="32-bit integer"):
         check(spec(target="collision_check.future_collision_seq", field="sign"))
+
+
+@pytest.mark.parametrize(
+    "recurrence",
+    [
+        {"recurrence": "intermittent", "probability": 0.2},
+        {"recurrence": "permanent", "from_s": 2.0, "until_s": 3.0},
+        {"recurrence": "rate", "rate_hz": 4.0},
+    ],
+    ids=lambda one: str(one["recurrence"]),
+)
+def test_a_fault_that_comes_back_is_counted_and_repeats(
+    recurrence: dict[str, object], server: ForkServer
+) -> None:
+    outcome = PairFlyer(server).fly(spec(target="command.velocity", bit_numbers=[51], **recurrence))
+    record = outcome.injection
+    assert record is not None
+    assert record.status == "injected"
+    assert record.strikes == len(record.struck) > 5
+    assert record.struck[0].virtual_time_ns == record.virtual_time_ns
+    assert [one.invocation for one in record.struck] == sorted(one.invocation for one in record.struck)
+    assert all(one.after == one.read_back != one.before for one in record.struck)
+    assert replay(outcome, server).answer == "replayed"

@@ -118,3 +118,19 @@ def test_a_fault_that_makes_no_sense_is_refused_in_one_line(fields: dict[str, An
 def test_a_fault_survives_json(fields: dict[str, Any]) -> None:
     fault = FaultSpec.model_validate({"target": "pid", **fields})
     assert FaultSpec.model_validate_json(fault.model_dump_json()) == fault
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ({"level": "instruction", "target": "pid", "recurrence": "permanent"}, "goes with level source"),
+        ({"recurrence": "intermittent"}, "probability go together"),
+        ({"probability": 0.5}, "probability go together"),
+        ({"recurrence": "rate", "probability": 0.5}, "go together"),
+        ({"from_s": 1.0}, "from_s and until_s go with a recurrence"),
+        ({"recurrence": "permanent", "from_s": 3.0, "until_s": 2.0}, "not after from_s"),
+    ],
+)
+def test_a_recurrence_says_what_it_needs(fields: dict[str, object], problem: str) -> None:
+    with pytest.raises(ValidationError, match=problem):
+        FaultSpec.model_validate({"level": "source", "target": "command.vx", **fields})
