@@ -34,6 +34,7 @@ def curl(*arguments: str) -> str:
     return subprocess.run([*command, *arguments], capture_output=True, check=True, text=True).stdout
 
 
+@pytest.mark.soak
 def test_curl_alone_starts_watches_and_reads_a_campaign(service: Serving) -> None:
     api = f"{service.address}/api/v1"
     body = json.dumps({"spec": SPEC.model_dump(mode="json", exclude_unset=True)})

@@ -96,6 +96,7 @@ def test_a_preset_is_flown_by_its_name(home: Path) -> None:
     assert home.is_dir()
 
 
+@pytest.mark.soak
 def test_a_preset_with_detectors_can_be_flown(server: ForkServer) -> None:
     cell = ("gaussian all", "factory", "control")
     run = next(run for run in runs(load_campaign("fig14")) if run.cell == cell)

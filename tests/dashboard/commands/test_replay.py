@@ -88,6 +88,7 @@ def test_what_campaign_resume_printed_is_replayed(tmp_path: Path) -> None:
     assert "(1 golden, 1 summary)" in replayed(tmp_path / "runs.jsonl").stderr
 
 
+@pytest.mark.soak
 def test_what_fly_printed_is_replayed(tmp_path: Path) -> None:
     printed = zenfi("fly", "--seed", 7, "--fault", "instruction:pid", "--json").stdout
     (tmp_path / "flight.json").write_text(printed)

@@ -38,6 +38,7 @@ def test_train_and_evaluate_on_recorded_flights(recorded: Path, tmp_path: Path) 
     assert len(result["roc"]) > 20
 
 
+@pytest.mark.soak
 def test_flights_that_are_there_are_not_flown_again(recorded: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in recorded.iterdir()}
     assert train("record", "--output", recorded, "--world", "sparse", "--seeds", "2").returncode == 0

@@ -35,6 +35,7 @@ def sleeper() -> Iterator[int]:
             process.kill()
 
 
+@pytest.mark.soak
 def test_it_is_struck_by_its_name_and_dies_with_its_wrapper(mapper: Path, laboratory: Laboratory) -> None:
     laboratory.up({"x": announced(mapper)})
     laboratory.phase("x", "ready")

@@ -26,7 +26,8 @@ ASTRAY = FaultSpec(
 
 
 def flown(server: ForkServer, **fields: object) -> Outcome:
-    return fly(MissionSpec.model_validate({"seed": 1, "pace": QUICK, **fields}), server).outcome
+    given = {"seed": 1, "pace": QUICK, "limits": {"mission_time_s": 45.0}, **fields}
+    return fly(MissionSpec.model_validate(given), server).outcome
 
 
 @pytest.fixture(scope="module")

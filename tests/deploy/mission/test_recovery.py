@@ -74,6 +74,7 @@ def test_it_recomputes(
     assert outcome.detection.recomputation_share > 0.0
 
 
+@pytest.mark.soak
 def test_with_the_gate_off_control_goes_on_to_the_next_waypoint(alarming: ForkServer) -> None:
     first, second = (fly(asked(gate="off"), alarming).outcome for _ in range(2))
     assert first.digest == second.digest

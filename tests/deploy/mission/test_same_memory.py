@@ -108,6 +108,7 @@ def test_in_another_shell(plain: tuple[Memory, set[int]], tmp_path: Path) -> Non
     assert len(different(one, other, numbers=False) - usual) <= FEW
 
 
+@pytest.mark.soak
 def test_in_another_kind_of_process(plain: tuple[Memory, set[int]], tmp_path: Path) -> None:
     one, usual = plain
     other = told(tmp_path / "memory", prepare=be_another_process, output=subprocess.PIPE)
@@ -144,6 +145,7 @@ def test_of_another_account(plain: tuple[Memory, set[int]]) -> None:
     assert len(different(one, other, numbers=False) - usual) <= FEW + OF_A_USER
 
 
+@pytest.mark.soak
 def test_on_a_terminal(plain: tuple[Memory, set[int]], tmp_path: Path) -> None:
     one, usual = plain
     terminal, ours = os.openpty()

@@ -45,6 +45,7 @@ def test_a_server_that_had_to_compile_has_the_memory_of_the_others() -> None:
     assert len(different(compiled, second, numbers=False) - alike) < 40
 
 
+@pytest.mark.soak
 def test_what_a_server_has_forked_leaves_no_trace_in_its_memory() -> None:
     """What it forks fiftieth begins with the memory of what it forks fifth."""
     spec = MissionSpec(world="sparse", limits=Limits(mission_time_s=0.2))

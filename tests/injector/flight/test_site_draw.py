@@ -32,7 +32,7 @@ def at(site: Site, fault: FaultSpec = OWN_CODE) -> FaultSpec:
     return fault.model_copy(update={"trigger": Trigger(invocation=0, site=site)})
 
 
-@pytest.mark.parametrize("passes", [400, MANY])
+@pytest.mark.parametrize("passes", [400, pytest.param(MANY, marks=pytest.mark.soak)])
 def test_the_drawn_pass_is_struck(passes: int) -> None:
     """Told by what the loop has in its registers then; also of passes that would take long to count."""
     fault = OWN_CODE.model_copy(update={"operand": "source", "register_class": "gpr"})

@@ -165,6 +165,7 @@ def test_an_error_of_ours_is_not_tried_again(cluster: str) -> None:
     assert scheduler.states.runs[0].attempts == 1
 
 
+@pytest.mark.soak
 def test_a_worker_never_flies_more_than_it_has_slots() -> None:
     with a_cluster(1, threads_per_worker=4) as made:
         with (
@@ -183,6 +184,7 @@ def test_a_worker_never_flies_more_than_it_has_slots() -> None:
         assert at_once == 1
 
 
+@pytest.mark.soak
 def test_a_cluster_that_goes_away_pauses_the_campaign() -> None:
     made = a_cluster(1)
     executor = DaskExecutor(made.scheduler_address, None, LEASE_S)

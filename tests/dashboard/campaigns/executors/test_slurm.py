@@ -121,6 +121,7 @@ def test_a_preempted_job_is_lost_at_once(tmp_path: Path) -> None:
     wait_until(lambda: not nodes(), PATIENCE_S / 2)
 
 
+@pytest.mark.soak
 def test_paused_work_ends(tmp_path: Path) -> None:
     with closing(shards(tmp_path)) as executor:
         scheduler = scheduler_of(executor)
