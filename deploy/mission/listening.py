@@ -30,7 +30,7 @@ class MissionBus:
     ) -> None:
         self.recorder = recorder
         self.alarms = Alarms()
-        self.injection: InjectionRecord | None = None
+        self._injections: list[InjectionRecord] = []
         self.last_message_s = time.monotonic()
         self._order = order
         self._recurs = recurs
@@ -56,6 +56,16 @@ class MissionBus:
             handle, arrived = self._events.get()
             handle(arrived)
         return True
+
+    def injection(self, until_ns: int) -> InjectionRecord | None:
+        """The record of the mission's fault: of one that recurs, with all strikes up to that virtual time."""
+        if not self._recurs:
+            return self._injections[-1] if self._injections else None
+        found: InjectionRecord | None = None
+        for record in self._injections:
+            if record.virtual_time_ns <= until_ns:
+                found = with_strike(found, record)
+        return found
 
     def promise(self, stage: str, payload: bytes) -> None:
         """Publish and record a promise on behalf of a stage that is dead."""
@@ -90,7 +100,7 @@ class MissionBus:
     def _take_injection(self, sample: zenoh.Sample) -> None:
         message = decode(sample.payload.to_bytes(), TOPICS["injection"].type)
         record = InjectionRecord.model_validate_json(message.record)
-        self.injection = with_strike(self.injection, record) if self._recurs else record
+        self._injections.append(record)
         event = Injection(record=repeatable(record).model_dump_json(by_alias=True))
         self._order.tell("injection", record.virtual_time_ns, encode(event, TOPICS["injection"].type))
 

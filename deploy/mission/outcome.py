@@ -64,7 +64,7 @@ def mission_outcome(
 ) -> Outcome:
     """The outcome of a mission that has ended, all but its wall time."""
     assert end.result is not None  # noqa: S101 - it has ended
-    fault, injection = spec.fault, bus.injection
+    fault, injection = spec.fault, bus.injection(end.time_ns)
     if fault is not None and injection is None:
         injection = _not_reached(fault)
     nodes = _reports(members, end.time_ns)

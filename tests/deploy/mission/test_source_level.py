@@ -55,5 +55,6 @@ def test_a_fault_that_comes_back_is_counted_and_repeats(
     assert record.strikes == len(record.struck) > 5
     assert record.struck[0].virtual_time_ns == record.virtual_time_ns
     assert [one.invocation for one in record.struck] == sorted(one.invocation for one in record.struck)
+    assert record.struck[-1].virtual_time_ns <= outcome.qof.flight_time_s * 1e9
     assert all(one.after == one.read_back != one.before for one in record.struck)
     assert replay(outcome, server).answer == "replayed"
