@@ -155,7 +155,8 @@ def test_what_is_no_outcome_is_refused(text: str, says: str, tmp_path: Path) -> 
     assert says in str(answer.exception)
 
 
-PROBEED = SHORT.model_copy(update={"fault": FaultSpec(target="point_cloud", trigger=Trigger(invocation=5))})
+PROBED = SHORT.model_copy(update={"fault": FaultSpec(target="octomap", trigger=Trigger(invocation=5))})
+"""A call that takes so long that its probe cannot be missed."""
 
 
 def kill_while_scouting(victim: str) -> None:
@@ -175,7 +176,7 @@ def test_an_injector_that_is_killed_while_it_probes_leaves_nobody(server: ForkSe
     killer = threading.Thread(target=kill_while_scouting, args=("injector",))
     killer.start()
     with pytest.raises(DisturbedFlightError, match="injector was ended from outside"):
-        fly(PROBEED, server)
+        fly(PROBED, server)
     killer.join()
     assert not forked(server.pid)
 
@@ -184,7 +185,7 @@ def test_a_node_that_is_killed_while_it_probes_makes_no_outcome(server: ForkServ
     killer = threading.Thread(target=kill_while_scouting, args=("perception",))
     killer.start()
     with pytest.raises(DisturbedFlightError, match="perception was ended from outside"):
-        fly(PROBEED, server)
+        fly(PROBED, server)
     killer.join()
     assert not forked(server.pid)
 
