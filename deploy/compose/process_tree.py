@@ -51,15 +51,20 @@ def processes() -> dict[int, ProcessStat]:
 
 def descendants(pid: int, spare: Collection[int] = ()) -> dict[int, ProcessStat]:
     """The living children of a process, their children and so on, by pid; ``spare`` and theirs left out."""
-    everybody = processes()
+    return _below({pid}, processes(), spare)
+
+
+def _below(
+    roots: Collection[int], everybody: dict[int, ProcessStat], spare: Collection[int]
+) -> dict[int, ProcessStat]:
     children: dict[int, list[int]] = {}
     for one, stat in everybody.items():
         children.setdefault(stat.parent, []).append(one)
-    found = {}
-    waiting = list(children.get(pid, ()))
+    found: dict[int, ProcessStat] = {}
+    waiting = [child for root in roots for child in children.get(root, ())]
     while waiting:
         one = waiting.pop()
-        if one not in spare:
+        if one not in spare and one not in found:
             found[one] = everybody[one]
             waiting += children.get(one, ())
     return found
@@ -144,25 +149,46 @@ def kill_strays(reapers: Collection[int]) -> tuple[int, int]:
 
 
 def clear_marked(folder: Path) -> int:
-    """Kill what an earlier supervisor of the stack in ``folder`` has left; how many.
+    """Kill what an earlier supervisor of the stack in ``folder`` has left, and wait for its end; how many.
 
     The mark is in the environment that a process began with: whoever wipes it and outlives the
-    supervisor *and* its reaper is not found.
+    supervisor *and* its reaper is not found. What we may not kill, another user's, is left.
     """
     mark = f"{MARK}={folder}".encode()
     killed: set[tuple[int, int]] = set()
-    while True:
-        left = [(pid, stat) for pid, stat in processes().items() if _marked(pid, mark)]
-        if not left:
-            return len(killed)
-        for pid, stat in left:
+    refused: set[tuple[int, int]] = set()
+    left: dict[int, ProcessStat] = {}
+    while left := _left(mark, left, refused):
+        for pid, stat in left.items():
             with _held(pid, stat.start_ticks) as pidfd:
-                if pidfd is None or not _marked(pid, mark):
+                if pidfd is None:
                     continue
-                with contextlib.suppress(ProcessLookupError):  # its reaper clears up at the same time
+                try:
                     signal.pidfd_send_signal(pidfd, signal.SIGKILL)
                     killed.add((pid, stat.start_ticks))
+                except ProcessLookupError:  # its reaper clears up at the same time
+                    pass
+                except PermissionError:
+                    refused.add((pid, stat.start_ticks))
                 select.select([pidfd], [], [], _PAUSE_S)
+    return len(killed)
+
+
+def _left(
+    mark: bytes, before: dict[int, ProcessStat], refused: Collection[tuple[int, int]]
+) -> dict[int, ProcessStat]:
+    """Who is marked, descends from who is, or was found ``before``, and has not ended.
+
+    A process that is ending has no environment any more, for a time that is long on a busy machine; its
+    reaper, whose descendant it is, has one until it is over.
+    """
+    everybody = processes()
+    found = {pid: stat for pid, stat in everybody.items() if _marked(pid, mark)}
+    found |= _below(found, everybody, spare=[os.getpid()])
+    for pid, stat in before.items():
+        if pid in everybody and everybody[pid].start_ticks == stat.start_ticks:
+            found[pid] = stat
+    return {pid: stat for pid, stat in found.items() if (pid, stat.start_ticks) not in refused}
 
 
 def _marked(pid: int, mark: bytes) -> bool:

@@ -1,15 +1,15 @@
 """What a killed supervisor has left is cleared, also while its reapers clear up."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from deploy.compose import process_tree
 from deploy.compose.process_tree import MARK, clear_marked
-from tests.conftest import wait_until
+from tests.conftest import alive, wait_until
 
 
 def marked(folder: Path) -> subprocess.Popen[bytes]:
@@ -37,18 +37,49 @@ def test_what_is_gone_before_it_is_killed_is_not_missed(
 ) -> None:
     """A reaper kills and reaps its process at the instant between our look and our signal."""
     left = marked(tmp_path)
-    looks: list[int] = []
 
-    def then_gone(pid: int, mark: bytes) -> bool:
-        found = is_marked(pid, mark)
-        if found:
-            looks.append(pid)
-        if len(looks) == 2:  # found, and looked at again with its pidfd in hand
-            left.kill()
-            left.wait()
-        return found
+    def too_late(pidfd: int, number: int) -> None:
+        left.kill()
+        left.wait()
+        send(pidfd, number)
 
-    is_marked = process_tree._marked
-    monkeypatch.setattr(process_tree, "_marked", then_gone)
+    send = signal.pidfd_send_signal
+    monkeypatch.setattr(signal, "pidfd_send_signal", too_late)
     assert clear_marked(tmp_path) == 0
-    assert looks == [left.pid, left.pid]
+
+
+def test_who_is_ending_already_is_waited_for(tmp_path: Path) -> None:
+    """It has no environment any more, so no mark; its parent has, as a reaper has."""
+    large = "import time; memory = bytearray(300 << 20); print(flush=True); time.sleep(1000)"  # slow to free
+    with subprocess.Popen(
+        ["/bin/sh", "-c", '"$0" -c "$1" & echo $!; wait', sys.executable, large],
+        env={**os.environ, MARK: str(tmp_path)},
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as reaper:
+        assert reaper.stdout is not None
+        ending = int(reaper.stdout.readline())
+        assert reaper.stdout.readline() == "\n"
+        os.kill(ending, signal.SIGKILL)
+        wait_until(lambda: not has_environment(ending))
+        clear_marked(tmp_path)
+        assert not alive(ending)
+
+
+def has_environment(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/environ").read_bytes() != b""
+    except ProcessLookupError:
+        return False
+
+
+def test_a_child_without_the_mark_ends_with_its_family(tmp_path: Path) -> None:
+    command = ["/bin/sh", "-c", f"env -u {MARK} sleep 1000 & echo $!; wait"]
+    with subprocess.Popen(
+        command, env={**os.environ, MARK: str(tmp_path)}, stdout=subprocess.PIPE, text=True
+    ) as parent:
+        assert parent.stdout is not None
+        child = int(parent.stdout.readline())
+        wait_until(lambda: MARK.encode() not in Path(f"/proc/{child}/environ").read_bytes())
+        assert clear_marked(tmp_path) == 2
+        assert not alive(child)
