@@ -66,14 +66,14 @@ class SupervisedNode:
         lines = self.log.read_text(errors="replace").strip().splitlines() if self.log.exists() else []
         return lines[-1] if lines else "no output"
 
-    def _guards(self) -> dict[GuardName, int]:
-        counts = dict(zip(GUARDS, self.stats.page["guards"].tolist(), strict=False))
+    def _guards(self, acted: list[int]) -> dict[GuardName, int]:
+        counts = dict(zip(GUARDS, acted, strict=False))
         counts["restart"] = max(self.life, 0)
         return {name: times for name, times in counts.items() if times}
 
     def report(self, result: NodeResult, end_ns: int) -> NodeReport:
         """The node's report for the outcome of a flight that ended at this virtual time."""
-        page = self.stats.page
+        page, counts = self.stats.page, self.stats.counts(end_ns)
         # Of the call that ends later nothing comes in the flight, and it need not have begun.
         late = page["end_ns"] > end_ns
         calls = (page["invocations"] - late).tolist()
@@ -83,15 +83,15 @@ class SupervisedNode:
             hangs=self.hangs,
             restarts=max(self.life, 0),
             causes=self.causes,
-            steps=int(page["steps"]),
-            dropped=int(page["dropped"]),
+            steps=int(counts["steps"]),
+            dropped=int(counts["dropped"]),
             late=int(page["late"]),
-            malformed=int(page["malformed"] + page["unreadable"]),
-            outdated=int(page["outdated"] + page["doubled"]),
-            alarms=int(page["alarms"]),
-            recomputed=int(page["recomputed"]),
-            ungated=int(page["ungated"]),
-            guards=self._guards(),
+            malformed=int(counts["malformed"] + page["unreadable"]),
+            outdated=int(counts["outdated"] + page["doubled"]),
+            alarms=int(counts["alarms"]),
+            recomputed=int(counts["recomputed"]),
+            ungated=int(counts["ungated"]),
+            guards=self._guards(counts["guards"].tolist()),
             compute_s=int(page["compute_wall_ns"]) / 1e9,
             messaging_s=int(page["messaging_wall_ns"]) / 1e9,
             waiting_s=int(page["waiting_wall_ns"]) / 1e9,

@@ -54,7 +54,7 @@ class Node:
         self.now_ns = setup.start_ns
         self._proxy = proxy
         self._setup = setup
-        self._page = stats.page
+        self._stats, self._page = stats, stats.page
         self.guards = GuardCounts(stats.page)
         self._timer = timer if timer is not None else KernelTimer(setup, proxy, stats.page)
         fault = setup.spec.fault
@@ -133,6 +133,7 @@ class Node:
             start, dropped, body = self._await(proxy_link.NEXT, place, busy_until)
             if start == NEVER_NS:
                 return
+            self._stats.begin_step(start)
             self._deliver(body)
             self.now_ns = start
             self._page["dropped"] += dropped

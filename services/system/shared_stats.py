@@ -8,27 +8,35 @@ from __future__ import annotations
 
 import mmap
 import os
+from typing import Any
 
 import numpy as np
 
 MAX_KERNELS = 16
 MAX_GUARDS = 16
 
+STEPS_KEPT = 4
+"""Of so many steps the page has the counts from before them: a node may be some ahead of a flight's end."""
+
+_COUNTS: list[tuple[Any, ...]] = [
+    ("steps", np.int64),
+    ("dropped", np.int64),  # triggers superseded while busy
+    ("malformed", np.int64),  # messages refused because they make no sense
+    ("outdated", np.int64),  # messages refused because there are newer ones
+    ("alarms", np.int64),  # outputs found wrong
+    ("recomputed", np.int64),  # outputs made again
+    ("ungated", np.int64),  # outputs without a verdict, as the detector had died
+    ("guards", np.int64, (MAX_GUARDS,)),  # what each did, in the order of their table
+]
 _LAYOUT = np.dtype(
     [
+        *_COUNTS,
+        ("before", np.dtype([("step_ns", np.int64), *_COUNTS]), (STEPS_KEPT,)),
         ("step_ns", np.int64),  # virtual time of the step under way or last finished
         ("computing", np.int64),  # 1 within a step, 0 while waiting
         ("gated", np.int64),  # 1 while it waits at the injector's gate
         ("program", np.int64),  # pid of the program that computes in the node's place, 0 for none
         ("asking", np.int64),  # 1 while it waits for the detector's verdict
-        ("steps", np.int64),
-        ("dropped", np.int64),  # triggers superseded while busy
-        ("malformed", np.int64),  # messages refused because they make no sense
-        ("outdated", np.int64),  # messages refused because there are newer ones
-        ("alarms", np.int64),  # outputs found wrong
-        ("recomputed", np.int64),  # outputs made again
-        ("ungated", np.int64),  # outputs without a verdict, as the detector had died
-        ("guards", np.int64, (MAX_GUARDS,)),  # what each did, in the order of their table
         ("compute_wall_ns", np.int64),
         ("messaging_wall_ns", np.int64),
         ("waiting_wall_ns", np.int64),
@@ -61,6 +69,23 @@ class SharedStats:
         descriptor = os.memfd_create(f"zenfi-{name}", os.MFD_CLOEXEC)
         os.ftruncate(descriptor, _LAYOUT.itemsize)
         return cls(descriptor)
+
+    def begin_step(self, start_ns: int) -> None:
+        """Keep the counts from before the step that begins at this virtual time."""
+        page = self.page
+        before = page["before"][page["steps"] % STEPS_KEPT]
+        for name, *_ in _COUNTS:
+            before[name] = page[name]
+        before["step_ns"] = start_ns
+
+    def counts(self, end_ns: int) -> np.void:
+        """What the node's steps before this virtual time have counted.
+
+        How many steps a node makes while the flight's end is on its way to it is chance.
+        """
+        later = [one for one in self.page["before"] if one["step_ns"] >= end_ns]
+        found: np.void = min(later, key=lambda one: one["step_ns"], default=self.page)
+        return found.copy()
 
     def close(self) -> None:
         """Unmap the page and close its descriptor."""

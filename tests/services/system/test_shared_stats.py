@@ -1,0 +1,26 @@
+"""The page that a node and its supervisor share."""
+
+from contextlib import closing
+
+import pytest
+
+from services.system.shared_stats import STEPS_KEPT, SharedStats
+
+
+@pytest.mark.parametrize("ahead", range(STEPS_KEPT))
+def test_steps_after_the_end_of_a_flight_do_not_count(ahead: int) -> None:
+    with closing(SharedStats.create("node")) as stats:
+        for step in range(10 + ahead):
+            stats.begin_step(step * 100)
+            stats.page["guards"][2] += 1
+            stats.page["dropped"] += 3
+            stats.page["steps"] += 1
+        ended = stats.counts(10 * 100)
+        assert (ended["steps"], ended["dropped"], ended["guards"][2]) == (10, 30, 10)
+        assert stats.counts(10**9)["steps"] == 10 + ahead
+
+
+def test_a_node_that_makes_no_steps_reports_what_it_counted() -> None:
+    with closing(SharedStats.create("node")) as stats:
+        stats.page["malformed"] = 2
+        assert stats.counts(1000)["malformed"] == 2
