@@ -88,8 +88,12 @@ def pid(
     for axis in range(3):
         gain = tuning.proportional_vertical if axis == 2 else tuning.proportional_level
         error = _believed(target[axis] - position[axis], _ERROR_LIMIT_M, tuning, report)
-        slip = _believed(target[3 + axis] - velocity[axis], 2.0 * SPEED_LIMIT_M_S, tuning, report)
-        state[axis] = _believed(state[axis] + error * period_s, _INTEGRAL_LIMIT_M_S, tuning, report)
+        # What has no gain is not summed up: zero times infinity would be no number.
+        slip = 0.0
+        if tuning.derivative != 0.0:
+            slip = _believed(target[3 + axis] - velocity[axis], 2.0 * SPEED_LIMIT_M_S, tuning, report)
+        if tuning.integral != 0.0:
+            state[axis] = _believed(state[axis] + error * period_s, _INTEGRAL_LIMIT_M_S, tuning, report)
         feedback = gain * error + tuning.integral * state[axis] + tuning.derivative * slip
         command[axis] = _believed(target[3 + axis], SPEED_LIMIT_M_S, tuning, report) + feedback
     speed = math.hypot(command[0], command[1])

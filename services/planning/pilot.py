@@ -159,6 +159,7 @@ class Navigator:
             return None
         if not (self._tactics.leads_on or self._waited(now_s, velocity)):
             return None
+        self._standing_since_s = None
         self._seq = min((self._seq or verdict.trajectory_seq) + 1, _SEQ_MAX)
         refuge = self._refuge(position) if self._resort == "retreat" else None
         return PlanRequest(

@@ -141,6 +141,18 @@ def test_a_poisoned_integral_recovers() -> None:
     assert np.isfinite(state).all()
 
 
+@pytest.mark.parametrize("nonsense", [math.nan, math.inf])
+def test_what_has_no_gain_keeps_no_nonsense(nonsense: float) -> None:
+    """A proportional controller without guards forgets a wrong position with the next right one."""
+    pilot = PILOTS["baseline"]
+    state, alone = np.zeros(STATE_SIZE), tuning(pilot, pilot.guards)
+    bad = np.full(3, nonsense)
+    pid(hover(1, 1, 1), 0.5, bad, bad, 0.0, PERIOD_S, state, alone, REPORT)
+    for velocity in (STILL, bad):
+        out = pid(hover(1, 1, 1), 0.54, STILL, velocity, 0.0, PERIOD_S, state, alone, REPORT)
+        assert out[:3] == pytest.approx([0.2, 0.2, 0.5])
+
+
 def test_stopping_is_straight_on_and_comes_to_rest() -> None:
     velocity = np.array([2.4, -1.8, 0.0])
     rows = stopping(10.0, np.array([1.0, 2.0, 3.0]), velocity, 0.7, 4.0)

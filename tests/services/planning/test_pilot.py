@@ -260,6 +260,18 @@ def test_the_baseline_plans_when_it_has_stood_for_a_while() -> None:
     assert not request.departure.velocity.any()
 
 
+def test_the_baseline_waits_anew_after_a_plan_that_failed() -> None:
+    navigator = Navigator(GOAL, LATENCY_S, BASELINE)
+    collides = Verdict(9.0, 1, 1, 3.0)
+    assert consider(navigator, 9.0, HERE, collides, STILL) is None
+    request = consider(navigator, 12.0, HERE, collides, STILL)
+    assert request is not None
+    navigator.answer(request, None)
+    assert consider(navigator, 12.5, HERE, collides, STILL) is None
+    assert consider(navigator, 15.4, HERE, collides, STILL) is None
+    assert consider(navigator, 15.5, HERE, collides, STILL) is not None
+
+
 def test_without_their_guards_it_does_not_mind_where_it_is_and_what_was_not_counted() -> None:
     for guards, minds in ((ALL_GUARDS, True), (ALL_GUARDS - {"strayed", "recheck"}, False)):
         navigator = Navigator(GOAL, LATENCY_S, Tactics(guards=guards))
