@@ -41,7 +41,7 @@ JOBS = {
 """The commands of each job. They run side by side; the last one, which is given further arguments, is shown
 as it goes, the others whole when all have ended."""
 
-SECOND_HALF = ["tests/dashboard", "tests/detector", "tests/services", "tests/sim"]
+SECOND_HALF = ["tests/dashboard", "tests/services"]
 HALVES = (SECOND_HALF, [f"--ignore={one}" for one in SECOND_HALF])
 """What is added for two processes to run all of the gate's tests side by side, each for about as long."""
 
