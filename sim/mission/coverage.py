@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from services.models.safety import BODY_RADIUS_M
 from sim.world import World
@@ -93,5 +93,5 @@ def _widest(clearance: NDArray[np.float64], start: tuple[int, ...], goal: tuple[
 
 
 def _joined(region: NDArray[np.bool_], start: tuple[int, ...], goal: tuple[int, ...]) -> bool:
-    labels, _ = ndimage.label(region)
+    labels, _ = scipy.ndimage.label(region)
     return bool(labels[start] == labels[goal] != 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import bootstrap
+import scipy  # its parts are loaded when they are used: half a second
 
 from dashboard.campaigns.statistics.proportions import Interval
 from services.runtime import rng
@@ -30,7 +30,7 @@ def quantile_interval(
     def statistic(values: np.ndarray, axis: int) -> np.ndarray:
         return np.asarray(np.quantile(values, quantile, axis=axis, method="weibull"))
 
-    found = bootstrap(
+    found = scipy.stats.bootstrap(
         (sample,),
         statistic,
         confidence_level=level,

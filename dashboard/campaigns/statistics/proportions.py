@@ -11,7 +11,7 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import binom, binomtest, norm
+import scipy  # its parts are loaded when they are used: half a second
 
 
 class Interval(NamedTuple):
@@ -52,7 +52,7 @@ EVERYTHING = Interval(0.0, 1.0)
 
 def z_of(level: float) -> float:
     """The two-sided standard normal quantile of a confidence level."""
-    return float(norm.ppf((1 + level) / 2))
+    return float(scipy.stats.norm.ppf((1 + level) / 2))
 
 
 def wilson(successes: float, trials: float, level: float = 0.95) -> Interval:
@@ -76,7 +76,7 @@ def clopper_pearson(successes: int, trials: int, level: float = 0.95) -> Interva
     """
     if trials == 0:
         return EVERYTHING
-    interval = binomtest(successes, trials).proportion_ci(level, method="exact")
+    interval = scipy.stats.binomtest(successes, trials).proportion_ci(level, method="exact")
     return Interval(float(interval.low), float(interval.high))
 
 
@@ -89,10 +89,10 @@ def median_interval(values: Sequence[float], level: float = 0.95) -> Interval | 
     cover it: at 95 %, with fewer than six.
     """
     n = len(values)
-    outer = int(binom.ppf((1 - level) / 2, n, 0.5)) if n else 0
+    outer = int(scipy.stats.binom.ppf((1 - level) / 2, n, 0.5)) if n else 0
     if outer == 0:
         return None
-    more, less = (1 - 2 * float(binom.cdf(below, n, 0.5)) for below in (outer - 1, outer))
+    more, less = (1 - 2 * float(scipy.stats.binom.cdf(below, n, 0.5)) for below in (outer - 1, outer))
     beyond = (more - level) / (more - less)
     inwards = (n - outer) * beyond / (outer + (n - 2 * outer) * beyond)
     ordered = sorted(values)
@@ -139,7 +139,7 @@ def _squared_and_added(p1: float, one: Interval, p2: float, two: Interval, phi: 
 def mcnemar(pairs: Pairs) -> float:
     """Two-sided p-value of the exact test that both configurations succeed alike."""
     discordant = pairs.first_only + pairs.second_only
-    return float(binomtest(pairs.first_only, discordant).pvalue) if discordant else 1.0
+    return float(scipy.stats.binomtest(pairs.first_only, discordant).pvalue) if discordant else 1.0
 
 
 def holm(p_values: Sequence[float]) -> list[float]:

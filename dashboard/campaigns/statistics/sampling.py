@@ -7,8 +7,7 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import norm
+import scipy  # its parts are loaded when they are used: half a second
 
 from dashboard.campaigns.statistics.proportions import EVERYTHING, Interval, wilson, z_of
 
@@ -105,7 +104,7 @@ def flights_to_tell(p1: float, p2: float, power: float = 0.8, level: float = 0.9
     """Flights an arm that tell p1 from p2 with ``power`` (two independent arms, normal approximation)."""
     mean = (p1 + p2) / 2
     chance = z_of(level) * sqrt(2 * mean * (1 - mean))
-    spread = float(norm.ppf(power)) * sqrt(p1 * (1 - p1) + p2 * (1 - p2))
+    spread = float(scipy.stats.norm.ppf(power)) * sqrt(p1 * (1 - p1) + p2 * (1 - p2))
     return (chance + spread) ** 2 / (p1 - p2) ** 2
 
 
@@ -113,5 +112,5 @@ def resolvable_drop(flights: int, p: float = 0.95, power: float = 0.8, level: fl
     """The smallest drop of a success rate ``p`` that ``flights`` an arm can tell; None if none can."""
     if flights < 1 or flights_to_tell(p, 0.0, power, level) > flights:
         return None
-    found = brentq(lambda q: flights_to_tell(p, q, power, level) - flights, 0.0, p - 1e-6)
+    found = scipy.optimize.brentq(lambda q: flights_to_tell(p, q, power, level) - flights, 0.0, p - 1e-6)
     return p - float(found)
