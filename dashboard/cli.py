@@ -87,7 +87,8 @@ def zenfi() -> None:
 @click.option(
     "--fault",
     metavar=FAULT_FORM,
-    help="Flip one bit, e.g. instruction:rrt_star,operand=source; model=none does everything but the flip.",
+    help="Flip a bit, e.g. instruction:rrt_star,operand=source or source:trajectory.x; "
+    "model=none does everything but the flip. Or let equipment fail, e.g. sensor:depth,model=off.",
 )
 @click.option("--fault-seed", type=int, default=0, show_default=True, help="Seed of the fault.")
 @click.option(

@@ -157,6 +157,8 @@ KERNELS: Mapping[str, Kernel] = MappingProxyType({kernel.name: kernel for kernel
 
 def aimed_at(fault: FaultSpec) -> str:
     """The stage that a fault strikes; one that an own stack replaces goes by its own name."""
+    if fault.at_equipment:
+        return "sim"
     if fault.level == "instruction":
         return KERNELS[fault.target].stage if fault.target in KERNELS else fault.target
     from services.models.inter_kernel_states import members  # noqa: PLC0415 - the table is cheap to import

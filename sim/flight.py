@@ -16,6 +16,7 @@ from sim.mission.referee import judge
 from sim.sensors.imu import ImuSamples, InertialUnit
 from sim.sensors.odometry import Drift
 from sim.vehicle.airframe import airframe
+from sim.vehicle.motor_fault import MotorFault
 from sim.vehicle.vehicle import STEP_S, Floats, Vehicle
 from sim.vehicle.wind import Air
 from sim.world import make_world
@@ -30,7 +31,10 @@ class SimulatedFlight:
     def __init__(self, spec: MissionSpec) -> None:
         frame = airframe(spec.airframe)
         self.world = make_world(spec.world, spec.seed)
-        self.vehicle = Vehicle(self.world, frame, Air(spec.wind, spec.seed, STEP_S))
+        self.motor_fault = None
+        if spec.fault is not None and spec.fault.level == "actuator":
+            self.motor_fault = MotorFault(spec.fault, spec.seed, frame.max_thrust_n, STEP_S)
+        self.vehicle = Vehicle(self.world, frame, Air(spec.wind, spec.seed, STEP_S), self.motor_fault)
         self.drift = Drift(spec.odometry, spec.seed, TICK_NS / 1e9)
         self._imu = InertialUnit(spec.imu, spec.seed)
         self._felt: list[ImuSamples] = []

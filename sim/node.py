@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from services.bus.horizon import NEVER_NS
@@ -16,6 +18,7 @@ from services.system.shared_stats import SharedStats
 from sim.flight import SimulatedFlight
 from sim.sensors import telemetry
 from sim.sensors.camera import DepthCamera
+from sim.sensors.faults import SensorFault
 from sim.vehicle.vehicle import Floats
 
 
@@ -32,6 +35,7 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
     """Fly the mission tick by tick until the referee ends it."""
     spec = setup.spec
     flight, camera = SimulatedFlight(spec), DepthCamera(spec.camera, spec.seed)
+    failing = SensorFault(spec.fault, spec.seed) if spec.fault and spec.fault.level == "sensor" else None
     with ClockOwner(setup, proxy, stats) as node:
         commands, plan = node.input("command"), node.input("trajectory")
         node.ready("perception")
@@ -42,13 +46,15 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
         exposed_ns = -1
         while True:
             now_ns = node.now_ns
-            node.put("odometry", telemetry.odometry(header(now_ns, "map"), flight.vehicle, flight.drift))
+            pose = telemetry.odometry(header(now_ns, "map"), flight.vehicle, flight.drift)
+            measure(node, failing, "odometry", pose)
             if (felt := flight.felt) is not None:
-                node.put("imu", telemetry.imu(header(now_ns, "body"), felt))
+                measure(node, failing, "imu", telemetry.imu(header(now_ns, "body"), felt))
             # A frame that a newer one will have replaced when perception is free is not exposed.
             if now_ns + TICK_NS > node.busy_until("perception", exposed_ns):
-                node.put("depth", telemetry.depth_image(header(now_ns, "camera"), camera, flight.vehicle))
-                exposed_ns = now_ns
+                image = telemetry.depth_image(header(now_ns, "camera"), camera, flight.vehicle)
+                if measure(node, failing, "depth", image):
+                    exposed_ns = now_ns
             else:
                 node.skip()
             if report(node, flight, plan):
@@ -57,6 +63,22 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
             node.promise(now_ns + TICK_NS, now_ns)
             node.advance(now_ns + TICK_NS)
             flight.advance(now_ns, [(one.ready_ns, velocity(commands.read(one))) for one in commands.new])
+            if flight.motor_fault is not None:
+                node.tell_injections(flight.motor_fault.records)
+
+
+def measure(node: ClockOwner, failing: SensorFault | None, topic: str, message: Any) -> bool:
+    """Publish what a sensor measured, or what it says instead; False if that is nothing."""
+    if failing is None or failing.topic != topic:
+        node.put(topic, message)
+        return True
+    published = failing.publish(message, node.now_ns)
+    if published.record is not None:
+        node.tell_injections([published.record])
+    if published.message is None:
+        return False
+    node.put(topic, published.message)
+    return True
 
 
 def report(node: Node, flight: SimulatedFlight, plan: Input) -> bool:

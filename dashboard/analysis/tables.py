@@ -145,7 +145,7 @@ def campaign(name: str, summary: Sequence[CellSummary]) -> Table:
     table = Table(
         title=f"{name}: quality of flight per arm",
         caption="95 %: Wilson interval of success. s, m, kJ: medians of successes; plans: mean of replans. "
-        "hit: flights in which the bit was flipped; then what became of the node aimed at in these." + lost,
+        "hit: flights in which the fault struck; then what became of the node aimed at in these." + lost,
         box=None,
         padding=(0, 1, 0, 0),
     )

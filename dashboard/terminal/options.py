@@ -20,7 +20,7 @@ in_store = click.option(
     help="Where the campaigns are: a folder, or postgresql://USER@HOST/DATABASE.",
 )
 
-FAULT_FORM = "LEVEL:KERNEL[,NAME=VALUE...]"
+FAULT_FORM = "LEVEL:TARGET[,NAME=VALUE...]"
 _LISTS = ("bit_numbers",)
 _ELSEWHERE = {"seed": "--fault-seed", "level": f"the form {FAULT_FORM}", "target": f"the form {FAULT_FORM}"}
 DETECTOR_FORM = "SCHEME[,NAME=VALUE...]"

@@ -49,7 +49,7 @@ def check(spec: MissionSpec) -> None:
         _check_stack(spec.stack, spec)
     if spec.fault is not None and spec.fault.level == "source":
         _check_source(spec.fault)
-    elif spec.fault is not None:
+    elif spec.fault is not None and spec.fault.level == "instruction":
         _check_instruction(spec.fault, spec)
 
 

@@ -75,7 +75,7 @@ def fly(
         with session.open_session(address, "router", router=True) as bus:
             held = spec.fault is not None or spec.detector is not None
             order = MessageOrder(recorder, held=held, realtime=clock is not None)
-            recurs = spec.fault is not None and spec.fault.recurrence != "once"
+            recurs = spec.fault is not None and spec.fault.recurs
             listening = MissionBus(bus, recorder, order, recurs=recurs)
             supervisor = Supervisor(server, address, spec.limits.hang_cpu_s)
             try:

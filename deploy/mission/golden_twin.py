@@ -119,7 +119,7 @@ def draw_call(fault: FaultSpec, golden: Outcome) -> Trigger:
 
     :raises NothingToInjectError: if the golden twin never ran the kernel.
     """
-    if fault.recurrence != "once":
+    if fault.recurs:
         return Trigger(after_ns=round(fault.from_s * 1e9))
     draw = rng.generator(golden.spec.seed, f"trigger {fault.target}", fault.seed)
     if fault.level == "source":

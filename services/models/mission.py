@@ -7,7 +7,7 @@ declare them by :func:`deploy.config.check.check`; here only form and range are.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -44,12 +44,24 @@ Platform = Annotated[
 ]
 
 
+EquipmentFailure = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
+"""The ways in which a sensor or a motor fails: those of PX4's failure injection."""
+
+FaultModel = Literal["bitflip", "stuck_at", "opcode", "memory", "none"] | EquipmentFailure
+
+SENSORS = ("depth", "odometry", "imu")
+MOTORS = ("motor0", "motor1", "motor2", "motor3")
+
+
 class FaultSpec(Strict):
     """One fault: where, when and what is flipped.
 
     At ``level`` instruction ``target`` is a kernel (``services/kernels.py``), and the bits are those of an
     instruction that it executes; at level source it is an inter-kernel state or a vector of them
     (``services/models/inter_kernel_states.py``), and the bits are those of one message that carries it.
+
+    At level sensor or actuator ``target`` is one of :data:`SENSORS` or :data:`MOTORS`, which fails from
+    ``from_s`` to ``until_s`` as ``model`` says (:mod:`sim.sensors.faults`, :mod:`sim.vehicle.motor_fault`).
 
     ``trigger`` may be left out; it is drawn then, from ``seed``. A stored outcome's specification says
     exactly when the fault struck.
@@ -63,10 +75,10 @@ class FaultSpec(Strict):
     inverts bits of the word that the instruction reads or writes; ``none`` does everything but the flip.
     """
 
-    level: Literal["instruction", "source"] = "instruction"
-    target: str = Field(description="kernel, or inter-kernel state")
+    level: Literal["instruction", "source", "sensor", "actuator"] = "instruction"
+    target: str = Field(description="kernel, inter-kernel state, sensor or motor")
     seed: Seed = Field(default=0, ge=0, lt=2**32)
-    model: Literal["bitflip", "stuck_at", "opcode", "memory", "none"] = "bitflip"
+    model: FaultModel = "bitflip"
     operand: Literal["source", "destination", "any"] = "any"
     register_class: Literal["gpr", "vector", "flags", "mask", "any"] = "any"
     bits: int = Field(default=1, ge=1, le=64, description="how many distinct bits are drawn")
@@ -86,17 +98,23 @@ class FaultSpec(Strict):
     rate_hz: float | None = Field(default=None, gt=0, le=1000, description="upsets per virtual second")
     from_s: float = Field(default=0.0, ge=0, le=3600, description="virtual time from which it recurs")
     until_s: float | None = Field(default=None, gt=0, le=3600, description="virtual time until which")
+    size: float | None = Field(
+        default=None, ge=-1000, le=1000, description="wrong: factor, or m; slow: period, s; delayed: delay, s"
+    )
     trigger: Trigger | None = None
 
     @model_validator(mode="after")
     def _refuse_nonsense(self) -> FaultSpec:
-        problem = next(self._problems(), None)
+        equipment = self.at_equipment or self.model in get_args(EquipmentFailure)
+        problem = next(self._equipment_problems() if equipment else self._problems(), None)
         if problem is not None:
             raise ValueError(problem)
         return self
 
     def _problems(self) -> Iterator[str]:
         """The contradictions between the fields, one line each."""
+        if self.size is not None:
+            yield "size goes with level sensor or actuator"
         if self.level == "source":
             yield from self._source_problems()
         elif self.components != "one" or self.point is not None:
@@ -115,6 +133,37 @@ class FaultSpec(Strict):
             yield from self._field_problems()
         if self.bit_numbers is not None:
             yield from self._bit_number_problems(self.bit_numbers)
+
+    @property
+    def at_equipment(self) -> bool:
+        """Whether a sensor or a motor fails, beside the computer."""
+        return self.level in ("sensor", "actuator")
+
+    @property
+    def recurs(self) -> bool:
+        """Whether it may strike more than once."""
+        return self.recurrence != "once" or self.at_equipment
+
+    def _equipment_problems(self) -> Iterator[str]:
+        failures = get_args(EquipmentFailure)
+        if not self.at_equipment or self.model not in failures:
+            yield f"model {self.model}: {', '.join(failures)} go with level sensor or actuator, and only they"
+            return
+        known = SENSORS if self.level == "sensor" else MOTORS
+        if self.target not in known:
+            yield f"unknown {self.level} {self.target!r}; known: {', '.join(known)}"
+        if (self.probability is not None) != (self.model == "intermittent"):
+            yield "model intermittent and probability go together"
+        if (self.size is not None) != (self.model in ("wrong", "slow", "delayed")):
+            yield "size goes with the models wrong, slow and delayed, which need it"
+        if self.model in ("slow", "delayed") and not 0.0 < (self.size or 0.0) <= 60.0:
+            yield f"size: {self.model} takes seconds, more than 0 and at most 60"
+        if self.until_s is not None and self.until_s <= self.from_s:
+            yield f"until_s: {self.until_s} s is not after from_s, {self.from_s} s"
+        own = {"level", "target", "model", "seed", "from_s", "until_s", "size", "probability", "trigger"}
+        extra = self.model_dump(exclude_defaults=True).keys() - own
+        if extra:
+            yield f"{', '.join(sorted(extra))}: not of a sensor or motor"
 
     def _recurrence_problems(self) -> Iterator[str]:
         if self.recurrence != "once" and self.level != "source":

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from services.models.base import Strict
 from services.models.detection import DetectionReport
-from services.models.mission import MissionSpec, Trigger
+from services.models.mission import FaultModel, MissionSpec, Trigger
 from services.models.pilots import GuardName
 from services.models.propagation import Propagation
 
@@ -78,7 +78,7 @@ class InjectionRecord(Strict):
     invocation: int = Field(description="of the kernel, or number of the message; from 0")
     state: list[str] = Field(default=[], description="inter-kernel states struck by a source-level fault")
     point: int = Field(default=0, description="of the trajectory that was struck")
-    model: Literal["bitflip", "stuck_at", "opcode", "memory", "none"] = "bitflip"
+    model: FaultModel = "bitflip"
     scope: Literal["kernel", "thread"] = "thread"
     pid: int = 0
     tid: int = 0
@@ -94,7 +94,7 @@ class InjectionRecord(Strict):
     width_bits: int = 0
     element_bits: int = Field(default=0, description="of the floating-point numbers in it; 0 for none")
     bits: list[int] = []
-    before: str = ""
+    before: str = Field(default="", description="of a sensor or motor: what it had to say or do, in words")
     after: str = ""
     read_back: str = ""
     points_into: str = Field(default="", description="what `before` points into, if it is a pointer")

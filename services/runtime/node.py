@@ -24,6 +24,7 @@ from services.bus.ports import Input, Parse, as_it_is
 from services.bus.proxy_link import NodeLink, ProxyAnswer
 from services.bus.topics import STAGES, TOPICS, published_by
 from services.models.detection import AlarmRecord
+from services.models.outcome import InjectionRecord
 from services.runtime.guard_counts import GuardCounts
 from services.runtime.kernel_timer import KernelTimer
 from services.runtime.latency import Latency
@@ -232,6 +233,12 @@ class ClockOwner(Node):
             busy_until_ns = self._await(proxy_link.BUSY_UNTIL, STAGES.index(stage), accepted_ns).value
             self._busy[stage] = accepted_ns, busy_until_ns
         return self._busy[stage][1]
+
+    def tell_injections(self, records: list[InjectionRecord]) -> None:
+        """Send records of a fault of the simulator's equipment to the recorder, and empty the list."""
+        for record in records:
+            self._tell("injection", Injection(record=record.model_dump_json(by_alias=True)))
+        records.clear()
 
     def skip(self) -> None:
         """Count a message that was not made because nobody would have taken it up."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sim.vehicle.airframe import GRAVITY_M_S2, ROTORS, Airframe
 from sim.vehicle.autopilot import Autopilot
+from sim.vehicle.motor_fault import MotorFault
 from sim.vehicle.wind import Air
 from sim.world import World
 
@@ -87,7 +88,9 @@ class Vehicle:
     first touched an obstacle or the ground, None as long as it has not. Without ``air`` there is no wind.
     """
 
-    def __init__(self, world: World, airframe: Airframe, air: Air | None = None) -> None:
+    def __init__(
+        self, world: World, airframe: Airframe, air: Air | None = None, motor_fault: MotorFault | None = None
+    ) -> None:
         self.model = mujoco.MjModel.from_xml_string(mjcf(world, airframe))
         # The translational axes of a free joint are the world's: heave drag acts along the vertical, from
         # which the vehicle tilts by 30 degrees at most.
@@ -102,6 +105,7 @@ class Vehicle:
         self._thrust: Floats = self.data.ctrl
         self._push: Floats = self.data.xfrc_applied[self.hull, :3]
         self._air = air
+        self._motor_fault = motor_fault
 
         towards = world.goal - world.start
         yaw = atan2(towards[1], towards[0])
@@ -135,6 +139,8 @@ class Vehicle:
             if wind is not None:
                 push[:] = wind[step]
             autopilot.update(pose, twist, thrust)
+            if self._motor_fault is not None:
+                self._motor_fault.strike(self.steps, thrust)
             mujoco.mj_step(model, data)
             # Contacts are found where the step began.
             if data.ncon and self.contact_step is None:

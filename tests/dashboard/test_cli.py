@@ -40,7 +40,7 @@ def test_fly_prints_one_outcome() -> None:
         (("fly", "--detector", "gaussian,recovery=wings"), "detector.recovery"),
         (("fly", "--detector", "gaussian,model=missing.json"), "missing.json"),
         (("fly", "--fault", "instruction:teapot"), "teapot"),
-        (("fly", "--fault", "rrt_star"), "LEVEL:KERNEL"),
+        (("fly", "--fault", "rrt_star"), "LEVEL:TARGET"),
         (("fly", "--fault", "quantum:rrt_star"), "level"),
         (("fly", "--fault", "instruction:rrt"), "--planner rrt"),
         (("fly", "--fault", "instruction:pid,bits"), "NAME=VALUE"),

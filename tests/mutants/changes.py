@@ -539,8 +539,8 @@ MUTANTS: list[Mutant] = [
         ("statistics: infinite population", "(1 + (population - 1) / infinite)", "(1 + 0 / infinite)"),
         (
             "statistics: power is not looked at",
-            "spread = float(norm.ppf(power))",
-            "spread = float(norm.ppf(0.5))",
+            "spread = float(scipy.stats.norm.ppf(power))",
+            "spread = float(scipy.stats.norm.ppf(0.5))",
         ),
     ),
     *_of(
@@ -617,5 +617,68 @@ MUTANTS: list[Mutant] = [
             "if (among := groups(fault, one.width_bits, one.element_bits, one.accessed))",
             "if (among := groups(fault, one.width_bits, 64, one.accessed))",
         ),
+    ),
+    *_of(
+        "sim/sensors/faults.py",
+        "tests/sim/sensors/test_faults.py",
+        (
+            "equipment: a sensor fails for ever",
+            "if not fault.from_s * 1e9 <= now_ns < self._until_s * 1e9:",
+            "if not fault.from_s * 1e9 <= now_ns:",
+        ),
+        ("equipment: what is stuck has old stamps", "changed.header = header", "pass"),
+        (
+            "equipment: a delayed sensor says the newest",
+            "self._delayed(now_ns - round((fault.size or 0.0) * 1e9))",
+            "self._delayed(now_ns)",
+        ),
+        (
+            "equipment: a slow sensor is not slow",
+            "return now_ns - self._last_ns < (fault.size or 0.0) * 1e9",
+            "return False",
+        ),
+        (
+            "equipment: a position is off the other way",
+            "xyz(pose.position) + np.array([size",
+            "xyz(pose.position) - np.array([size",
+        ),
+    ),
+    *_of(
+        "sim/vehicle/motor_fault.py",
+        "tests/sim/vehicle/test_motor_fault.py",
+        (
+            "equipment: another motor fails",
+            "MOTORS.index(fault.target)",
+            "(MOTORS.index(fault.target) + 1) % 4",
+        ),
+        (
+            "equipment: a motor gives more than it can",
+            "min(max(self._instead(step, asked_n), 0.0), self._most_n)",
+            "self._instead(step, asked_n)",
+        ),
+        ("equipment: a change is not recorded", "if given_n == asked_n:", "if True:"),
+    ),
+    *_of(
+        "services/system/shared_stats.py",
+        "tests/services/system/test_shared_stats.py",
+        (
+            "statistics: a step after the end counts",
+            'if one["step_ns"] >= end_ns]',
+            'if one["step_ns"] > end_ns + 10**12]',
+        ),
+    ),
+    *_of(
+        "deploy/compose/process_tree.py",
+        "tests/deploy/compose/test_process_tree.py",
+        (
+            "stack: who is ending is not waited for",
+            "found |= _below(found, everybody, spare=[os.getpid()])",
+            "pass",
+        ),
+    ),
+    *_of(
+        "services/control/pid.py",
+        "tests/services/control/test_pid.py",
+        ("pid: an error is summed up without a gain", "if tuning.integral != 0.0:", "if True:"),
     ),
 ]
