@@ -7,7 +7,6 @@ import socket
 import struct
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -60,11 +59,19 @@ class Watching:
         self.topics = topics
         wanted = [{"id": place, "channelId": self.channels[name]["id"]} for place, name in enumerate(topics)]
         self.line.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+        self._meanwhile = list(self._until_subscribed())
+
+    def _until_subscribed(self) -> Iterator[bytes]:
+        """What comes before the answer to a request that was sent later: subscribing has no answer."""
+        self.line.send(json.dumps({"op": "getParameters", "parameterNames": [], "id": "subscribed"}))
+        while isinstance(told := self.line.recv(20.0), bytes) or json.loads(told)["op"] != "status":
+            if isinstance(told, bytes):
+                yield told
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time and bytes of each message."""
         while True:
-            told = self.line.recv(20.0)
+            told = self._meanwhile.pop(0) if self._meanwhile else self.line.recv(20.0)
             if isinstance(told, bytes) and told[0] == MESSAGE:
                 _, place, time_ns = HEAD.unpack_from(told)
                 yield self.topics[place], time_ns, told[HEAD.size :]
@@ -74,7 +81,6 @@ def test_a_client_sees_the_flight_and_a_late_one_what_stands(server: ForkServer,
     path = tmp_path / "flight.mcap"
     with foxglove(tmp_path) as (_, port), watching(port) as line, watching(port) as later:
         early = Watching(line, "/odometry", "/obstacles", "/tf")
-        time.sleep(0.2)  # subscribing has no answer
         PairFlyer(server).fly(SHORT, path, live=tmp_path / SOCKET)
         recorded = open_run(path)
         wanted = {topic: recorded.messages[topic.removeprefix("/")] for topic in early.topics}
