@@ -177,10 +177,13 @@ def _clear(folder: Path) -> None:
         raise BadSpecError(message)
     try:
         with held(folder):
-            left = clear_marked(folder)
+            killed, refused = clear_marked(folder)
     except TakenError as error:
         raise InfrastructureError(f"{error}, but does not answer: kill its supervisor") from error
-    _messages.print(f"stack {folder.name} was not up; {left} processes that were left are gone")
+    _messages.print(f"stack {folder.name} was not up; {killed} processes that were left are gone")
+    if refused:
+        message = f"{refused} processes of other users are left: end them as root"
+        raise InfrastructureError(message)
 
 
 def _the_only() -> Path:

@@ -51,6 +51,8 @@ def _caption(view: StackView) -> str:
     said = ["going down"] if view.leaving else []
     if view.cleared:
         said.append(f"{view.cleared} processes of an earlier supervisor were killed at the start")
+    if view.unkilled:
+        said.append(f"{view.unkilled} of other users were not")
     if view.strays:
         said.append(f"{view.strays} processes whose reaper was killed were killed as well")
     return "; ".join(said)

@@ -53,8 +53,9 @@ class ProcessView(Strict):
 class StackView(Strict):
     """The state of one stack, as its supervisor (process ``pid``) reports it.
 
-    ``cleared`` counts processes of an earlier supervisor of the stack, killed at the start, ``strays``
-    those that were left by a reaper that somebody killed, ``stale`` events of starts that were over.
+    ``cleared`` counts processes of an earlier supervisor of the stack, killed at the start, ``unkilled``
+    those of other users that could not be, ``strays`` those that were left by a reaper that somebody
+    killed, ``stale`` events of starts that were over.
     """
 
     name: str
@@ -66,6 +67,7 @@ class StackView(Strict):
     namespace: str
     log: Path
     cleared: int
+    unkilled: int
     strays: int
     stale: int
     signals: Mapping[str, int]

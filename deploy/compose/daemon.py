@@ -48,8 +48,9 @@ EXIT_REFUSED = 2
 class StackSupervisor:
     """Supervises one stack until it is asked to go down."""
 
-    def __init__(self, stack: Stack, folder: Path, cleared: int) -> None:
-        self._stack, self._folder, self._cleared = stack, folder, cleared
+    def __init__(self, stack: Stack, folder: Path, cleared: tuple[int, int]) -> None:
+        self._stack, self._folder = stack, folder
+        self._cleared, self._unkilled = cleared
         self._loop = asyncio.get_running_loop()
         self._since = datetime.now(UTC)
         self._changed: dict[str, datetime] = {}
@@ -68,7 +69,7 @@ class StackSupervisor:
 
     async def run(self) -> None:
         """Bring the stack up; return when it is down."""
-        self._note("up", pid=os.getpid(), cleared=self._cleared)
+        self._note("up", pid=os.getpid(), cleared=self._cleared, unkilled=self._unkilled)
         self._bus.listen(self._processes.announced, self.view)
         server = await serve(self._folder, self.answer)
         gaps = asyncio.create_task(self._tell_gaps())
@@ -202,6 +203,7 @@ class StackSupervisor:
             namespace=namespace(self._stack.name),
             log=self._journal.path,
             cleared=self._cleared,
+            unkilled=self._unkilled,
             strays=self._processes.strays,
             stale=self._states.stale,
             signals=dict(self._signals),
@@ -253,7 +255,7 @@ def main() -> None:
         sys.exit(EXIT_REFUSED)
 
 
-async def _supervise(stack: Stack, folder: Path, cleared: int, *, attached: bool) -> None:
+async def _supervise(stack: Stack, folder: Path, cleared: tuple[int, int], *, attached: bool) -> None:
     supervisor = StackSupervisor(stack, folder, cleared)
     if attached:
         loop = asyncio.get_running_loop()

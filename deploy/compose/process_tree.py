@@ -148,11 +148,12 @@ def kill_strays(reapers: Collection[int]) -> tuple[int, int]:
     return killed, len(family) - killed
 
 
-def clear_marked(folder: Path) -> int:
-    """Kill what an earlier supervisor of the stack in ``folder`` has left, and wait for its end; how many.
+def clear_marked(folder: Path) -> tuple[int, int]:
+    """Kill what an earlier supervisor of the stack in ``folder`` has left, and wait for its end.
 
-    The mark is in the environment that a process began with: whoever wipes it and outlives the
-    supervisor *and* its reaper is not found. What we may not kill, another user's, is left.
+    How many were killed, and how many refused: only a process of another user can. The mark is in the
+    environment that a process began with: whoever wipes it and outlives the supervisor *and* its reaper
+    is not found.
     """
     mark = f"{MARK}={folder}".encode()
     killed: set[tuple[int, int]] = set()
@@ -171,7 +172,7 @@ def clear_marked(folder: Path) -> int:
                 except PermissionError:
                     refused.add((pid, stat.start_ticks))
                 select.select([pidfd], [], [], _PAUSE_S)
-    return len(killed)
+    return len(killed), len(refused)
 
 
 def _left(

@@ -84,7 +84,7 @@ class SharedStats:
         How many steps a node makes while the flight's end is on its way to it is chance.
         """
         later = [one for one in self.page["before"] if one["step_ns"] >= end_ns]
-        found: np.void = min(later, key=lambda one: one["step_ns"], default=self.page)
+        found: np.void = min(later, key=lambda one: (one["step_ns"], one["steps"]), default=self.page)
         return found.copy()
 
     def close(self) -> None:

@@ -24,7 +24,7 @@ def marked(folder: Path) -> subprocess.Popen[bytes]:
 def test_what_is_marked_is_killed_and_nothing_else(tmp_path: Path) -> None:
     ours, another = marked(tmp_path), marked(tmp_path / "another")
     try:
-        assert clear_marked(tmp_path) == 1
+        assert clear_marked(tmp_path) == (1, 0)
         assert ours.wait() == -9
         assert another.poll() is None
     finally:
@@ -45,7 +45,7 @@ def test_what_is_gone_before_it_is_killed_is_not_missed(
 
     send = signal.pidfd_send_signal
     monkeypatch.setattr(signal, "pidfd_send_signal", too_late)
-    assert clear_marked(tmp_path) == 0
+    assert clear_marked(tmp_path) == (0, 0)
 
 
 def test_who_is_ending_already_is_waited_for(tmp_path: Path) -> None:
@@ -81,5 +81,24 @@ def test_a_child_without_the_mark_ends_with_its_family(tmp_path: Path) -> None:
         assert parent.stdout is not None
         child = int(parent.stdout.readline())
         wait_until(lambda: MARK.encode() not in Path(f"/proc/{child}/environ").read_bytes())
-        assert clear_marked(tmp_path) == 2
+        assert clear_marked(tmp_path) == (2, 0)
         assert not alive(child)
+
+
+def test_what_another_user_owns_is_left_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, other = marked(tmp_path), marked(tmp_path)
+
+    def refuses(pidfd: int, number: int) -> None:
+        held = Path(f"/proc/self/fdinfo/{pidfd}").read_text().split("Pid:")[1].split()[0]
+        if int(held) == other.pid:
+            raise PermissionError
+        send(pidfd, number)
+
+    send = signal.pidfd_send_signal
+    monkeypatch.setattr(signal, "pidfd_send_signal", refuses)
+    try:
+        assert clear_marked(tmp_path) == (1, 1)
+        assert (ours.wait(), other.poll()) == (-9, None)
+    finally:
+        other.kill()
+        other.wait()

@@ -20,6 +20,14 @@ def test_steps_after_the_end_of_a_flight_do_not_count(ahead: int) -> None:
         assert stats.counts(10**9)["steps"] == 10 + ahead
 
 
+def test_of_two_steps_at_one_instant_the_first_is_after_the_end() -> None:
+    with closing(SharedStats.create("node")) as stats:
+        for step in range(3, 3 + STEPS_KEPT):  # the later ones lie first on the page
+            stats.page["steps"] = step
+            stats.begin_step(1000)
+        assert stats.counts(1000)["steps"] == 3
+
+
 def test_a_node_that_makes_no_steps_reports_what_it_counted() -> None:
     with closing(SharedStats.create("node")) as stats:
         stats.page["malformed"] = 2
