@@ -1,5 +1,6 @@
 """Faults in kernels alone: classified, the same whoever makes them, gone on with, nothing left behind."""
 
+import json
 import os
 import signal
 import subprocess
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from deploy.config.check import BadSpecError, check_kernel
-from deploy.kernel_study.file import KernelSection, StudyFile
+from deploy.kernel_study.file import KernelSection, StudyFile, kept_runs
 from deploy.kernel_study.study import Study
 from injector.kernel_study.study import StudyRun
 from services.models.mission import FaultSpec
@@ -98,7 +99,15 @@ def test_a_study_that_is_killed_is_gone_on_with_to_the_same_end(tmp_path: Path) 
     file.write_bytes(kept + b'{"run":{"kernel":"pid"')  # as if it had been killed while it wrote
     studied(FaultSpec(target="pid"), 60, 1, file)
     assert file.read_bytes() == whole.read_bytes()
-    assert set(kept.splitlines()) <= set(whole.read_bytes().splitlines())
+    # What was kept beyond the last one that counts was more than asked for, and is gone.
+    last = max(kept_runs(whole)["pid"], key=lambda run: run.index).index
+    counted = [line for line in kept.splitlines() if b'"run"' not in line or index_of(line) <= last]
+    assert len(counted) > 10
+    assert set(counted) <= set(whole.read_bytes().splitlines())
+
+
+def index_of(line: bytes) -> int:
+    return int(json.loads(line)["run"]["index"])
 
 
 def test_a_file_is_refused_that_is_of_another_study_or_in_use(tmp_path: Path) -> None:
