@@ -102,7 +102,7 @@ def test_a_study_that_is_killed_is_gone_on_with_to_the_same_end(tmp_path: Path) 
     # What was kept beyond the last one that counts was more than asked for, and is gone.
     last = max(kept_runs(whole)["pid"], key=lambda run: run.index).index
     counted = [line for line in kept.splitlines() if b'"run"' not in line or index_of(line) <= last]
-    assert len(counted) > 10
+    assert len(counted) > 1
     assert set(counted) <= set(whole.read_bytes().splitlines())
 
 
