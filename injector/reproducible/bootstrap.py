@@ -1,15 +1,14 @@
 """Where a process of :mod:`injector.reproducible.launch` begins: a script, ``start.py MODULE ARGUMENT ...``.
 
 Python keeps a list of what lies in each folder that it imports from. Our packages' folder is that of a
-checkout: a file more in it, and all that comes after lies elsewhere in memory. So it is not listed. In an
-installation it is site-packages, where all sorts of modules lie that we import: all of them are found.
+checkout: a file more in it, and all that comes after lies elsewhere in memory. So it is not listed, nor is
+site-packages (:mod:`injector.reproducible.installed_packages`): all sorts of modules lie there.
 """
 
 from __future__ import annotations
 
 import os
 import runpy
-import site
 import sys
 from importlib.machinery import BYTECODE_SUFFIXES, EXTENSION_SUFFIXES, SOURCE_SUFFIXES, ModuleSpec
 from importlib.util import spec_from_file_location
@@ -68,7 +67,9 @@ def main() -> None:
     # After the standard library, so that no file in it takes the place of a module there.
     sys.path.append(own)
     sys.path_importer_cache[own] = ImportFolder(own)
-    site.main()
+    from injector.reproducible.installed_packages import add_installed_packages  # noqa: PLC0415 - found now
+
+    add_installed_packages(ImportFolder)  # type: ignore[arg-type]
     from injector.reproducible.fixed_libc import FIXED_LIBC  # noqa: PLC0415 - now it can be found
 
     FIXED_LIBC.begin()

@@ -554,6 +554,20 @@ MUTANTS: list[Mutant] = [
         ("statistics: quantiles biased inwards", 'method="weibull"', 'method="linear"'),
     ),
     *_of(
+        "injector/reproducible/installed_packages.py",
+        "tests/deploy/mission/test_same_memory.py",
+        (
+            "memory: what all packages offer is read",
+            "return every(**wanted) if ours else",
+            "return every(**wanted) if ours or wanted else",
+        ),
+        (
+            "memory: site-packages is listed",
+            "sys.path_importer_cache[folder] = finder(folder)",
+            "finder(folder)",
+        ),
+    ),
+    *_of(
         "injector/block_profile/x86_64_translator.py",
         "tests/injector/block_profile/test_x86_64_translator.py",
         (

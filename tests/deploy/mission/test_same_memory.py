@@ -2,9 +2,11 @@
 
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
+import sysconfig
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
@@ -121,6 +123,23 @@ def test_from_python_by_another_of_its_names(plain: tuple[Memory, set[int]], tmp
     own = Path(sys.executable)
     names = {own.with_name(name) for name in ("python", "python3")} - {own}
     other = told(tmp_path / "memory", python=str(names.pop()))
+    assert len(different(one, other, numbers=False) - usual) <= FEW
+
+
+def test_where_other_packages_are_installed_too(plain: tuple[Memory, set[int]], tmp_path: Path) -> None:
+    """Extras, tools of one's own: numba and pydantic look for packages that extend them."""
+    one, usual = plain
+    packages = Path(sysconfig.get_path("purelib"))
+    made = [packages / f"zenfi_test_{number}{end}" for number in range(40) for end in ("", "-1.0.dist-info")]
+    try:
+        for folder in made:
+            folder.mkdir()
+            (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {folder.name}\nVersion: 1.0\n")
+            (folder / "entry_points.txt").write_text(f"[console_scripts]\n{folder.name} = nothing:main\n")
+        other = told(tmp_path / "memory")
+    finally:
+        for folder in made:
+            shutil.rmtree(folder, ignore_errors=True)
     assert len(different(one, other, numbers=False) - usual) <= FEW
 
 

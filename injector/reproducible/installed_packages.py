@@ -1,0 +1,89 @@
+"""What is installed beside the packages that we import must not come into memory: users differ in it.
+
+Python lists site-packages to find modules, and reads the data of all packages to find those that extend
+others. Here a fork lists the folder and tells what is asked for. Nothing else of ours is imported here: this
+runs before anything can be found.
+"""
+
+from __future__ import annotations
+
+import os
+import site
+import sys
+from collections.abc import Callable, Iterator
+from importlib.abc import PathEntryFinder
+from typing import Any
+
+_LONGEST = 1 << 16
+_OURS = "zenfi."
+
+
+def add_installed_packages(finder: Callable[[str], PathEntryFinder]) -> None:
+    """Do what Python's :mod:`site` does; modules of site-packages are found by ``finder`` of that folder."""
+    listed = os.listdir
+
+    def path_files(folder: str) -> list[str]:
+        sys.path_importer_cache[folder] = finder(folder)
+        return listed_by_a_fork(listed, folder, lambda name: name.endswith(".pth"))
+
+    os.listdir = path_files  # type: ignore[assignment]
+    try:
+        site.main()
+    finally:
+        os.listdir = listed
+    sys.meta_path.insert(0, _InstalledPackages)
+    _offer_only_our_plug_ins()
+
+
+def listed_by_a_fork(
+    listed: Callable[[str], list[str]], folder: str, wanted: Callable[[str], bool]
+) -> list[str]:
+    """The names in a folder that are wanted, in order."""
+    told, tells = os.pipe()
+    child = os.fork()
+    if not child:
+        os.write(tells, "/".join(sorted(filter(wanted, listed(folder)))).encode())
+        os._exit(0)
+    os.waitpid(child, 0)
+    os.close(tells)
+    found = os.read(told, _LONGEST).decode()
+    os.close(told)
+    return found.split("/") if found else []
+
+
+class _InstalledPackages:
+    """Finds the data of an installed package for :mod:`importlib.metadata`."""
+
+    @staticmethod
+    def find_spec(_name: str, _path: object = None, _target: object = None) -> None:
+        """Leave the search for modules to the other finders."""
+
+    @staticmethod
+    def find_distributions(context: Any) -> Iterator[Any]:
+        """The package that the context names; who names none asks the other finders."""
+        if context.name is None:
+            return
+        from importlib.metadata import PathDistribution  # noqa: PLC0415 - not before somebody asks
+        from pathlib import Path  # noqa: PLC0415
+
+        begin = context.name.replace("-", "_").lower() + "-"
+
+        def is_asked_for(name: str) -> bool:
+            return name.lower().startswith(begin) and name.endswith(".dist-info")
+
+        for folder in site.getsitepackages():
+            for name in listed_by_a_fork(os.listdir, folder, is_asked_for):
+                yield PathDistribution(Path(folder, name))
+
+
+def _offer_only_our_plug_ins() -> None:
+    """Some (numba, pydantic) look for packages that extend them, and would read what every package offers."""
+    import importlib.metadata  # noqa: PLC0415 - now it can be found
+
+    every = importlib.metadata.entry_points
+
+    def entry_points(**wanted: Any) -> Any:
+        ours = str(wanted.get("group")).startswith(_OURS)
+        return every(**wanted) if ours else importlib.metadata.EntryPoints(())
+
+    importlib.metadata.entry_points = entry_points
