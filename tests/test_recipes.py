@@ -1,7 +1,12 @@
 """Each recipe in ``docs/recipes`` holds one complete diff, and the diff applies to this tree."""
 
+import os
 import re
+import shlex
 import subprocess
+import sys
+import sysconfig
+import venv
 from pathlib import Path
 
 import pytest
@@ -44,6 +49,58 @@ def test_a_recipe_says_what_to_run(recipe: Path) -> None:
 def test_there_is_a_recipe_for_each_kind_of_part() -> None:
     parts = {"kernel", "planner", "detector", "world", "node", "fault_model", "page", "rest_resource"}
     assert {recipe.stem for recipe in RECIPES} == parts
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkout of its own, installed in an environment of its own that has our packages, too."""
+    folder = tmp_path_factory.mktemp("recipe") / "zenfi"
+    run(ROOT, f"git checkout-index --all --prefix={folder}/")
+    venv.create(folder / ".venv")
+    packages = next((folder / ".venv" / "lib").iterdir()) / "site-packages"
+    (packages / "ours.pth").write_text(sysconfig.get_path("purelib"))
+    run(folder, f"{sys.executable} -m {' '.join(INSTALL)} -e .")
+    return folder
+
+
+INSTALL = ("pip", "--python", ".venv/bin/python", "install", "-q", "--no-deps", "--no-build-isolation")
+
+
+def run(folder: Path, command: str) -> None:
+    """Run one line of a recipe in a checkout, with the commands of its environment."""
+    path = f"{folder / '.venv' / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+    words = shlex.split(command, comments=True)
+    if words[0] == "pytest":
+        words = [".venv/bin/python", "-m", *words]
+    done = subprocess.run(
+        words,
+        cwd=folder,
+        env={**os.environ, "PATH": path},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, f"{command}\n{done.stdout}"
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("recipe", RECIPES, ids=lambda recipe: recipe.stem)
+def test_a_recipe_that_is_carried_out_works(recipe: Path, checkout: Path) -> None:
+    """Apply the diff, run what is to be run; a server is not begun."""
+    diff = checkout / "recipe.diff"
+    diff.write_text(diff_of(recipe))
+    to_run = recipe.read_text().split("## Run it")[1].split("## The diff")[0]
+    run(checkout, "git apply recipe.diff")
+    try:
+        for line in re.findall(r"^\$ (.*)$", to_run, re.MULTILINE):
+            if line.startswith("pip "):
+                run(checkout, f"{sys.executable} -m {' '.join(INSTALL)} -e .")
+            elif not line.startswith(("zenfi serve", "curl ")):
+                run(checkout, line)
+    finally:
+        run(checkout, "git apply -R recipe.diff")
 
 
 def test_a_diff_of_something_else_does_not_apply() -> None:
