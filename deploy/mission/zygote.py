@@ -35,6 +35,7 @@ from injector.reproducible.bootstrap import STANDARD
 from injector.reproducible.fatal_signals import ended_by_another, handle_fatal_signals
 from injector.reproducible.fixed_libc import FIXED_LIBC
 from injector.reproducible.forked_question import answered_by_a_fork
+from injector.reproducible.installed_packages import offer_all_packages
 from injector.reproducible.launch import begin_again_if, begin_again_to_compile
 from services.bus.messages import prepare
 from services.bus.proxy_link import NodeLink, NonsenseError, ProxyLink, receive
@@ -152,6 +153,7 @@ def _fork_beside(sidecars: Mapping[str, str], papers: socket.socket) -> None:
     own.close()
     os.dup2(SIDE_ORDERS, ORDERS)
     os.close(SIDE_ORDERS)
+    offer_all_packages()  # a detector of somebody's own may want them
     modules = _imported(sidecars)
     _warm_up(modules)
     gc.freeze()

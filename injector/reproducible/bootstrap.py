@@ -67,12 +67,13 @@ def main() -> None:
     # After the standard library, so that no file in it takes the place of a module there.
     sys.path.append(own)
     sys.path_importer_cache[own] = ImportFolder(own)
-    from injector.reproducible.installed_packages import add_installed_packages  # noqa: PLC0415 - found now
+    from injector.reproducible import installed_packages  # noqa: PLC0415 - found now
 
-    add_installed_packages(ImportFolder)  # type: ignore[arg-type]
+    installed_packages.add_all(ImportFolder)
     from injector.reproducible.fixed_libc import FIXED_LIBC  # noqa: PLC0415 - now it can be found
 
     FIXED_LIBC.begin()
+    installed_packages.offer_only_our_plug_ins()  # behind that: it imports what draws numbers
     del sys.argv[0]
     try:
         runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)

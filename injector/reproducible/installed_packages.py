@@ -1,8 +1,9 @@
 """What is installed beside the packages that we import must not come into memory: users differ in it.
 
-Python lists site-packages to find modules, and reads the data of all packages to find those that extend
-others. Here a fork lists the folder and tells what is asked for. Nothing else of ours is imported here: this
-runs before anything can be found.
+Python lists site-packages to find modules, runs what packages leave there for its beginning, and reads the
+data of all packages to find those that extend others; and some packages import others if they are there.
+Here a fork lists the folder and tells what is asked for, and what is optional is not found. Nothing else of
+ours is imported here: this runs before anything can be found.
 """
 
 from __future__ import annotations
@@ -11,20 +12,24 @@ import os
 import site
 import sys
 from collections.abc import Callable, Iterator
-from importlib.abc import PathEntryFinder
 from typing import Any
 
 _LONGEST = 1 << 16
 _OURS = "zenfi."
 
+_OPTIONAL = frozenset(
+    {"Cython", "cffi", "charset_normalizer", "colorama", "coverage", "cython", "scikits", "yaml"}
+)
+"""What packages that we import would import, too, if it was there."""
 
-def add_installed_packages(finder: Callable[[str], PathEntryFinder]) -> None:
+
+def add_all(finder: Callable[[str], Any]) -> None:
     """Do what Python's :mod:`site` does; modules of site-packages are found by ``finder`` of that folder."""
     listed = os.listdir
 
     def path_files(folder: str) -> list[str]:
         sys.path_importer_cache[folder] = finder(folder)
-        return listed_by_a_fork(listed, folder, lambda name: name.endswith(".pth"))
+        return listed_by_a_fork(listed, folder, lambda name: _adds_modules(folder, name))
 
     os.listdir = path_files  # type: ignore[assignment]
     try:
@@ -32,7 +37,6 @@ def add_installed_packages(finder: Callable[[str], PathEntryFinder]) -> None:
     finally:
         os.listdir = listed
     sys.meta_path.insert(0, _InstalledPackages)
-    _offer_only_our_plug_ins()
 
 
 def listed_by_a_fork(
@@ -51,12 +55,38 @@ def listed_by_a_fork(
     return found.split("/") if found else []
 
 
-class _InstalledPackages:
-    """Finds the data of an installed package for :mod:`importlib.metadata`."""
+def _adds_modules(folder: str, name: str) -> bool:
+    """Whether a file of site-packages adds modules: folders, or a package that is being worked on.
 
-    @staticmethod
-    def find_spec(_name: str, _path: object = None, _target: object = None) -> None:
-        """Leave the search for modules to the other finders."""
+    Others run code that changes every Python, as that of setuptools does.
+    """
+    if not name.endswith(".pth"):
+        return False
+    if name.startswith("__editable__"):
+        return True
+    with open(f"{folder}/{name}", encoding="utf-8", errors="replace") as file:  # noqa: PTH123 - no pathlib yet
+        return not any(line.startswith(("import ", "import\t")) for line in file)
+
+
+def offer_all_packages() -> None:
+    """Have everything found that is installed, from now on."""
+    _InstalledPackages.hidden = frozenset()
+
+
+class _InstalledPackages:
+    """Finds the data of an installed package for :mod:`importlib.metadata`, and hides optional modules."""
+
+    hidden = _OPTIONAL
+
+    @classmethod
+    def find_spec(cls, name: str, _path: object = None, _target: object = None) -> None:
+        """Leave the search for a module to the other finders.
+
+        :raises ModuleNotFoundError: if it is hidden.
+        """
+        if name in cls.hidden:
+            message = f"No module named {name!r}"
+            raise ModuleNotFoundError(message, name=name)
 
     @staticmethod
     def find_distributions(context: Any) -> Iterator[Any]:
@@ -76,7 +106,7 @@ class _InstalledPackages:
                 yield PathDistribution(Path(folder, name))
 
 
-def _offer_only_our_plug_ins() -> None:
+def offer_only_our_plug_ins() -> None:
     """Some (numba, pydantic) look for packages that extend them, and would read what every package offers."""
     import importlib.metadata  # noqa: PLC0415 - now it can be found
 

@@ -566,6 +566,12 @@ MUTANTS: list[Mutant] = [
             "sys.path_importer_cache[folder] = finder(folder)",
             "finder(folder)",
         ),
+        (
+            "memory: what packages leave for the beginning is run",
+            'return not any(line.startswith(("import ", "import\\t")) for line in file)',
+            "return True",
+        ),
+        ("memory: optional packages are imported", "if name in cls.hidden:", "if not cls.hidden:"),
     ),
     *_of(
         "injector/block_profile/x86_64_translator.py",

@@ -24,6 +24,9 @@ ROOT = Path(__file__).parents[3]
 NOBODY = 65534
 OF_A_USER = 40
 """Words with a user's number, and with how often small numbers are referred to. A shift is thousands."""
+OPTIONAL = ("cffi", "colorama", "coverage", "cython", "scikits", "charset_normalizer", "yaml")
+"""Packages that others of ours import if they are there."""
+
 FEW = 8
 """Words beyond the usual ones: on which processor it runs, and another digit of a number."""
 
@@ -127,17 +130,22 @@ def test_from_python_by_another_of_its_names(plain: tuple[Memory, set[int]], tmp
 
 
 def test_where_other_packages_are_installed_too(plain: tuple[Memory, set[int]], tmp_path: Path) -> None:
-    """Extras, tools of one's own: numba and pydantic look for packages that extend them."""
+    """Extras, tools of one's own: numba and pydantic look for extensions, and some for what is optional."""
     one, usual = plain
     packages = Path(sysconfig.get_path("purelib"))
     made = [packages / f"zenfi_test_{number}{end}" for number in range(40) for end in ("", "-1.0.dist-info")]
+    made += [packages / name for name in OPTIONAL if not (packages / name).exists()]
+    at_the_beginning = packages / "zenfi_test.pth"
     try:
+        at_the_beginning.write_text("import zipfile, decimal\n")
         for folder in made:
             folder.mkdir()
             (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {folder.name}\nVersion: 1.0\n")
+            (folder / "__init__.py").write_text("import fractions\n")
             (folder / "entry_points.txt").write_text(f"[console_scripts]\n{folder.name} = nothing:main\n")
         other = told(tmp_path / "memory")
     finally:
+        at_the_beginning.unlink(missing_ok=True)
         for folder in made:
             shutil.rmtree(folder, ignore_errors=True)
     assert len(different(one, other, numbers=False) - usual) <= FEW
