@@ -101,7 +101,7 @@ class _InstalledPackages:
         def is_asked_for(name: str) -> bool:
             return name.lower().startswith(begin) and name.endswith(".dist-info")
 
-        for folder in site.getsitepackages():
+        for folder in filter(os.path.isdir, sys.path):
             for name in listed_by_a_fork(os.listdir, folder, is_asked_for):
                 yield PathDistribution(Path(folder, name))
 

@@ -2,11 +2,11 @@
 
 import os
 import resource
-import shutil
 import signal
 import subprocess
 import sys
 import sysconfig
+import venv
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
@@ -26,6 +26,7 @@ OF_A_USER = 40
 """Words with a user's number, and with how often small numbers are referred to. A shift is thousands."""
 OPTIONAL = ("cffi", "colorama", "coverage", "cython", "scikits", "charset_normalizer", "yaml")
 """Packages that others of ours import if they are there."""
+MORE = tuple(f"more_{number}{end}" for number in range(40) for end in ("", "-1.0.dist-info"))
 
 FEW = 8
 """Words beyond the usual ones: on which processor it runs, and another digit of a number."""
@@ -129,25 +130,24 @@ def test_from_python_by_another_of_its_names(plain: tuple[Memory, set[int]], tmp
     assert len(different(one, other, numbers=False) - usual) <= FEW
 
 
-def test_where_other_packages_are_installed_too(plain: tuple[Memory, set[int]], tmp_path: Path) -> None:
+@pytest.mark.soak
+def test_where_other_packages_are_installed_too(tmp_path: Path) -> None:
     """Extras, tools of one's own: numba and pydantic look for extensions, and some for what is optional."""
-    one, usual = plain
-    packages = Path(sysconfig.get_path("purelib"))
-    made = [packages / f"zenfi_test_{number}{end}" for number in range(40) for end in ("", "-1.0.dist-info")]
-    made += [packages / name for name in OPTIONAL if not (packages / name).exists()]
-    at_the_beginning = packages / "zenfi_test.pth"
-    try:
-        at_the_beginning.write_text("import zipfile, decimal\n")
-        for folder in made:
-            folder.mkdir()
-            (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {folder.name}\nVersion: 1.0\n")
-            (folder / "__init__.py").write_text("import fractions\n")
-            (folder / "entry_points.txt").write_text(f"[console_scripts]\n{folder.name} = nothing:main\n")
-        other = told(tmp_path / "memory")
-    finally:
-        at_the_beginning.unlink(missing_ok=True)
-        for folder in made:
-            shutil.rmtree(folder, ignore_errors=True)
+    venv.create(tmp_path / "venv")
+    python = str(tmp_path / "venv" / "bin" / "python")
+    packages = next((tmp_path / "venv" / "lib").iterdir()) / "site-packages"
+    (packages / "ours.pth").write_text(sysconfig.get_path("purelib"))
+    told(tmp_path / "first", python=python)  # compiles
+    one, again = (told(tmp_path / name, python=python) for name in ("one", "again"))
+    (packages / "more.pth").write_text("import zipfile, decimal\n")
+    for folder in (packages / name for name in (*OPTIONAL, *MORE)):
+        folder.mkdir()
+        (folder / "__init__.py").write_text("import fractions\n")
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {folder.name}\nVersion: 1.0\n")
+        (folder / "entry_points.txt").write_text(f"[console_scripts]\n{folder.name} = nothing:main\n")
+    other = told(tmp_path / "other", python=python)
+    usual = different(one, again, numbers=False)
+    assert len(usual) < 200
     assert len(different(one, other, numbers=False) - usual) <= FEW
 
 
