@@ -58,12 +58,13 @@ def listed_by_a_fork(
 def _adds_modules(folder: str, name: str) -> bool:
     """Whether a file of site-packages adds modules: folders, or a package that is being worked on.
 
-    Others run code that changes every Python, as that of setuptools does.
+    Others run code that changes every Python, as that of setuptools does. Our own modules are found without
+    theirs, which lists what lay in our folder when it was made.
     """
     if not name.endswith(".pth"):
         return False
     if name.startswith("__editable__"):
-        return True
+        return not name.startswith(f"__editable__.{_OURS[:-1]}-")
     with open(f"{folder}/{name}", encoding="utf-8", errors="replace") as file:  # noqa: PTH123 - no pathlib yet
         return not any(line.startswith(("import ", "import\t")) for line in file)
 
