@@ -46,8 +46,10 @@ def listed_by_a_fork(
     told, tells = os.pipe()
     child = os.fork()
     if not child:
-        os.write(tells, "/".join(sorted(filter(wanted, listed(folder)))).encode())
-        os._exit(0)
+        try:
+            os.write(tells, "/".join(sorted(filter(wanted, listed(folder)))).encode())
+        finally:
+            os._exit(0)  # also if it may not read: the fork must never go on in our place
     os.waitpid(child, 0)
     os.close(tells)
     found = os.read(told, _LONGEST).decode()
