@@ -41,7 +41,8 @@ from dashboard.campaigns.store.listing import (
 from deploy.mission.replay import Replay
 from deploy.recording.snapshot import FlightSnapshot
 from services.models.base import Strict
-from services.models.mission import FaultSpec, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
 
 TIMEOUT_S = 60.0

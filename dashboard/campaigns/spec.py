@@ -17,7 +17,8 @@ from dashboard.campaigns.executors.spec import ExecutorSpec, LocalSpec
 from deploy.config.check import BadSpecError, check, one_line
 from deploy.config.definitions import inlined
 from services.models.base import Strict
-from services.models.mission import FaultSpec, MissionSpec, World
+from services.models.fault_spec import FaultSpec
+from services.models.mission import MissionSpec, World
 from services.models.own_stack import OwnStack
 
 MAX_RUNS = 100_000

@@ -18,7 +18,8 @@ from deploy.mission.golden_twin import PairFlyer
 from injector.tracing.tracees import TraceeGroup
 from services.models.base import Strict
 from services.models.detection import DetectorSpec
-from services.models.mission import FaultSpec, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import MissionSpec
 from services.models.outcome import InjectionRecord
 
 TARGETS = ("point_cloud", "octomap", "collision_check", "rrt_star", "trajectory", "pid")

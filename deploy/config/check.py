@@ -15,8 +15,9 @@ from detector.schemes.registry import in_flight
 from injector.capabilities import check as preflight
 from injector.isa.host import AbsentError, require
 from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS, aimed_at
+from services.models.fault_spec import FaultSpec
 from services.models.inter_kernel_states import GROUPS, STATES, members
-from services.models.mission import FaultSpec, MissionSpec
+from services.models.mission import MissionSpec
 from services.models.own_stack import OwnStack, OwnStage
 from services.runtime.source_fault import eligible
 from sim.mission.area import corners

@@ -18,7 +18,7 @@ from deploy.config.check import BadSpecError
 from injector.kernel_study.instruction_index import InstructionIndex
 from injector.kernel_study.study import StudyRun
 from services.models.base import Strict
-from services.models.mission import FaultSpec
+from services.models.fault_spec import FaultSpec
 
 
 class StudyHeader(Strict):

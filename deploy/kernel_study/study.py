@@ -11,7 +11,7 @@ from injector.kernel_study.anchor_search import TraceReply, TraceRequest, search
 from injector.kernel_study.checkpoints import SamplePoint, draw, legs
 from injector.kernel_study.instruction_index import InstructionIndex
 from injector.kernel_study.study import StudyRun, StudyTask
-from services.models.mission import FaultSpec
+from services.models.fault_spec import FaultSpec
 from services.runtime import rng
 
 SEARCHED = 10_000

@@ -21,7 +21,7 @@ from injector.isa.instruction import Candidate, MemoryAccess
 from injector.isa.registers import Registers
 from injector.tracing.ptrace import GoneError
 from services.models.fault_model import draw_bits, struck
-from services.models.mission import FaultSpec
+from services.models.fault_spec import FaultSpec
 
 
 def corrupt_register(

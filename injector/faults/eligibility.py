@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from injector.isa.instruction import Candidate, Instruction, MemoryAccess
 from services.models.fault_model import groups
-from services.models.mission import FaultSpec
+from services.models.fault_spec import FaultSpec
 
 Bits = list[Sequence[int]]
 """The sets of bits of which one is drawn, see :func:`services.models.fault_model.groups`."""

@@ -28,7 +28,7 @@ from injector.isa.instruction import DecodeError
 from injector.tracing.compiled_functions import compiled_functions
 from injector.tracing.elf import CodeLocations, place
 from services.kernels import scope_of
-from services.models.mission import FaultSpec, Site, Trigger, Waypoint
+from services.models.fault_spec import FaultSpec, Site, Trigger, Waypoint
 from services.runtime.kernel_timer import GATE_SIGNAL
 
 FEW_PASSES = 2_000

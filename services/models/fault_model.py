@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from services.models.mission import FaultSpec
+from services.models.fault_spec import FaultSpec
 
 MANTISSA_BITS = {32: 23, 64: 52}  # IEEE 754 binary32 and binary64
 

@@ -6,8 +6,7 @@ declare them by :func:`deploy.config.check.check`; here only form and range are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -17,12 +16,11 @@ from services.models.airframe import AirframeDefinition
 from services.models.base import Strict
 from services.models.detection import DetectorSpec
 from services.models.equipment import PROFILES, Camera, Imu, MapSettings, Motion, Odometry, Wind
+from services.models.fault_spec import FaultSpec
 from services.models.own_stack import OwnStack, OwnStage
 from services.models.pilots import PILOTS, GuardName, Guards, Pace, PilotName
 from services.models.platform import PlatformDefinition
 from services.models.world import WorldDefinition
-
-Seed = int
 
 
 def _form(value: object) -> str:
@@ -42,229 +40,6 @@ Airframe = Annotated[
 Platform = Annotated[
     Annotated[str, Tag("name")] | Annotated[PlatformDefinition, Tag("definition")], Discriminator(_form)
 ]
-
-
-EquipmentFailure = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
-"""The ways in which a sensor or a motor fails: those of PX4's failure injection."""
-
-FaultModel = Literal["bitflip", "stuck_at", "opcode", "memory", "none"] | EquipmentFailure
-
-SENSORS = ("depth", "odometry", "imu")
-MOTORS = ("motor0", "motor1", "motor2", "motor3")
-
-
-class FaultSpec(Strict):
-    """One fault: where, when and what is flipped.
-
-    At ``level`` instruction ``target`` is a kernel (``services/kernels.py``), and the bits are those of an
-    instruction that it executes; at level source it is an inter-kernel state or a vector of them
-    (``services/models/inter_kernel_states.py``), and the bits are those of one message that carries it.
-
-    At level sensor or actuator ``target`` is one of :data:`SENSORS` or :data:`MOTORS`, which fails from
-    ``from_s`` to ``until_s`` as ``model`` says (:mod:`sim.sensors.faults`, :mod:`sim.vehicle.motor_fault`).
-
-    ``trigger`` may be left out; it is drawn then, from ``seed``. A stored outcome's specification says
-    exactly when the fault struck.
-
-    ``recurrence`` says how often it strikes (level source): ``once``; and from ``from_s`` to ``until_s``
-    ``intermittent``, each message with ``probability``; ``permanent``, each message in the same bits;
-    ``rate``, as a Poisson process of ``rate_hz`` in virtual time, each upset in the next message.
-
-    Models: ``bitflip`` inverts bits of a register; ``stuck_at`` holds them at ``stuck_value`` for
-    ``stuck_instructions``; ``opcode`` inverts bits of the instruction for one execution; ``memory``
-    inverts bits of the word that the instruction reads or writes; ``none`` does everything but the flip.
-    """
-
-    level: Literal["instruction", "source", "sensor", "actuator"] = "instruction"
-    target: str = Field(description="kernel, inter-kernel state, sensor or motor")
-    seed: Seed = Field(default=0, ge=0, lt=2**32)
-    model: FaultModel = "bitflip"
-    operand: Literal["source", "destination", "any"] = "any"
-    register_class: Literal["gpr", "vector", "flags", "mask", "any"] = "any"
-    bits: int = Field(default=1, ge=1, le=64, description="how many distinct bits are drawn")
-    field: Literal["any", "sign", "exponent", "mantissa"] = Field(
-        default="any", description="of one number of a floating-point operand"
-    )
-    bit_numbers: tuple[int, ...] | None = Field(default=None, description="these bits, instead of drawn ones")
-    stuck_value: Literal[0, 1] | None = None
-    stuck_instructions: int | None = Field(default=None, ge=1, le=10_000)
-    scope: Literal["kernel", "thread"] | None = Field(
-        default=None, description="the kernel's own code (default), or all that its thread runs in the call"
-    )
-    components: Literal["one", "all"] = Field(default="one", description="of a vector of states")
-    point: int | None = Field(default=None, ge=0, description="of a trajectory, instead of a drawn one")
-    recurrence: Literal["once", "intermittent", "permanent", "rate"] = "once"
-    probability: float | None = Field(default=None, gt=0, le=1, description="that a message is struck")
-    rate_hz: float | None = Field(default=None, gt=0, le=1000, description="upsets per virtual second")
-    from_s: float = Field(default=0.0, ge=0, le=3600, description="virtual time from which it recurs")
-    until_s: float | None = Field(default=None, gt=0, le=3600, description="virtual time until which")
-    size: float | None = Field(
-        default=None, ge=-1000, le=1000, description="wrong: factor, or m; slow: period, s; delayed: delay, s"
-    )
-    trigger: Trigger | None = None
-
-    @model_validator(mode="after")
-    def _refuse_nonsense(self) -> FaultSpec:
-        equipment = self.at_equipment or self.model in get_args(EquipmentFailure)
-        problem = next(self._equipment_problems() if equipment else self._problems(), None)
-        if problem is not None:
-            raise ValueError(problem)
-        return self
-
-    def _problems(self) -> Iterator[str]:
-        """The contradictions between the fields, one line each."""
-        if self.size is not None:
-            yield "size goes with level sensor or actuator"
-        if self.level == "source":
-            yield from self._source_problems()
-        elif self.components != "one" or self.point is not None:
-            yield "components and point go with level source"
-        yield from self._recurrence_problems()
-        stuck = (self.stuck_value, self.stuck_instructions)
-        if self.model == "stuck_at" and None in stuck:
-            yield "model stuck_at needs stuck_value (0 or 1) and stuck_instructions (how many)"
-        if self.model != "stuck_at" and stuck != (None, None):
-            yield f"stuck_value and stuck_instructions go with model stuck_at, not {self.model}"
-        if self.model in ("opcode", "memory") and self.register_class != "any":
-            yield f"model {self.model} strikes no register: leave out register_class"
-        if self.model == "opcode" and (self.operand, self.field) != ("any", "any"):
-            yield "model opcode strikes no operand: leave out operand and field"
-        if self.field != "any":
-            yield from self._field_problems()
-        if self.bit_numbers is not None:
-            yield from self._bit_number_problems(self.bit_numbers)
-
-    @property
-    def at_equipment(self) -> bool:
-        """Whether a sensor or a motor fails, beside the computer."""
-        return self.level in ("sensor", "actuator")
-
-    @property
-    def recurs(self) -> bool:
-        """Whether it may strike more than once."""
-        return self.recurrence != "once" or self.at_equipment
-
-    def _equipment_problems(self) -> Iterator[str]:
-        failures = get_args(EquipmentFailure)
-        if not self.at_equipment or self.model not in failures:
-            yield f"model {self.model}: {', '.join(failures)} go with level sensor or actuator, and only they"
-            return
-        known = SENSORS if self.level == "sensor" else MOTORS
-        if self.target not in known:
-            yield f"unknown {self.level} {self.target!r}; known: {', '.join(known)}"
-        if (self.probability is not None) != (self.model == "intermittent"):
-            yield "model intermittent and probability go together"
-        if (self.size is not None) != (self.model in ("wrong", "slow", "delayed")):
-            yield "size goes with the models wrong, slow and delayed, which need it"
-        if self.model in ("slow", "delayed") and not 0.0 < (self.size or 0.0) <= 60.0:
-            yield f"size: {self.model} takes seconds, more than 0 and at most 60"
-        if self.until_s is not None and self.until_s <= self.from_s:
-            yield f"until_s: {self.until_s} s is not after from_s, {self.from_s} s"
-        own = {"level", "target", "model", "seed", "from_s", "until_s", "size", "probability", "trigger"}
-        extra = self.model_dump(exclude_defaults=True).keys() - own
-        if extra:
-            yield f"{', '.join(sorted(extra))}: not of a sensor or motor"
-
-    def _recurrence_problems(self) -> Iterator[str]:
-        if self.recurrence != "once" and self.level != "source":
-            yield f"recurrence {self.recurrence} goes with level source"
-        needs = {"intermittent": "probability", "rate": "rate_hz"}
-        for kind, name in needs.items():
-            if (getattr(self, name) is not None) != (self.recurrence == kind):
-                yield f"recurrence {kind} and {name} go together"
-        if self.recurrence == "once" and (self.from_s, self.until_s) != (0.0, None):
-            yield "from_s and until_s go with a recurrence: intermittent, permanent or rate"
-        if self.until_s is not None and self.until_s <= self.from_s:
-            yield f"until_s: {self.until_s} s is not after from_s, {self.from_s} s"
-
-    def _source_problems(self) -> Iterator[str]:
-        if self.model not in ("bitflip", "none"):
-            yield f"model {self.model} goes with level instruction; at level source: bitflip, none"
-        # Specifications that were stored have the default of then, which was thread.
-        if (self.operand, self.register_class) != ("any", "any") or self.scope == "kernel":
-            yield "operand, register_class and scope go with level instruction: a message has none"
-
-    def _field_problems(self) -> Iterator[str]:
-        if self.register_class not in ("vector", "any"):
-            yield (
-                f"field {self.field} is one of a floating-point number: register_class vector or any, "
-                f"not {self.register_class}"
-            )
-        if self.bit_numbers is not None:
-            yield "field and bit_numbers both say which bits: leave out one"
-        largest = {"sign": 1, "exponent": 11, "mantissa": 52}.get(self.field, self.bits)
-        if self.bits > largest:
-            yield f"bits: {self.field} has at most {largest}, got {self.bits}"
-
-    def _bit_number_problems(self, numbers: tuple[int, ...]) -> Iterator[str]:
-        if not numbers or len(set(numbers)) < len(numbers) or not all(0 <= one < 512 for one in numbers):
-            yield f"bit_numbers: expected distinct numbers from 0 to 511, got {list(numbers)}"
-        if self.bits not in (1, len(numbers)):
-            yield "bits counts bits to be drawn, bit_numbers names them: leave out bits"
-
-
-class Waypoint(Strict):
-    """A pass shortly before a site, from which fewer passes are to be counted than from the call's beginning.
-
-    It is the ``hit``-th through ``offset`` of ``module`` since the call began; the site's own address is
-    passed ``rest`` times after it, the pass of the site included.
-    """
-
-    module: str = ""
-    build_id: str = ""
-    offset: int = Field(default=0, ge=0)
-    hit: int = Field(ge=1)
-    rest: int = Field(ge=1)
-
-
-class Site(Strict):
-    """One dynamic instruction of a call, so that it can be found again.
-
-    It is ``steps`` instructions after the ``hit``-th pass of the thread through ``offset`` of ``module``
-    (no module: the address itself) since the call began; without a ``hit``, after the call's beginning.
-    ``way`` is a quicker way to that pass.
-    ``code``, and ``registers`` or ``relative``, must be found there before a bit is flipped; empty: not
-    known yet.
-    """
-
-    precision: Literal["exact", "occurrence"] = Field(description="how exactly this is the drawn instruction")
-    step: int | None = Field(default=None, ge=0, description="number in the call, counted from 0, if known")
-    module: str = ""
-    build_id: str = ""
-    offset: int = Field(default=0, ge=0)
-    hit: int = Field(default=0, ge=0)
-    way: Waypoint | None = None
-    steps: int = Field(default=0, ge=0)
-    code: str = Field(default="", description="bytes of the instruction")
-    registers: str = Field(default="", description="hash of those that it reads")
-    relative: str = Field(default="", description="the same hash, pointers told by what they point into")
-
-
-class Trigger(Strict):
-    """When a fault strikes: in which call of the kernel, and where in it.
-
-    The call is the ``invocation``-th, or the first that begins at ``after_ns`` of virtual time or later.
-    The place is a ``site``, or ``cpu_ns`` of thread time after the beginning. What is not given is drawn:
-    the call uniformly ``over`` the golden twin's calls or its flight time, the place by the injector when
-    the call comes. The specification in an outcome has all of it.
-    """
-
-    over: Literal["calls", "time"] = "calls"
-    invocation: int | None = Field(default=None, ge=0)
-    after_ns: int | None = Field(default=None, ge=0)
-    site: Site | None = None
-    cpu_ns: int | None = Field(default=None, ge=0)
-
-    def names(self, number: int, now_ns: int) -> bool:
-        """Whether it names the call or message of that number, at this virtual time."""
-        if self.invocation is not None:
-            return number == self.invocation
-        return self.after_ns is not None and now_ns >= self.after_ns
-
-    @property
-    def names_a_call(self) -> bool:
-        """Whether it need not be drawn which call is struck."""
-        return self.invocation is not None or self.after_ns is not None
 
 
 class Limits(Strict):
@@ -298,7 +73,7 @@ class MissionSpec(Strict):
     mission: Literal["navigation", "scanning", "mapping", "search", "delivery"] = "navigation"
     area: Area = Area()
     world: World = "sparse"
-    seed: Seed = Field(default=0, ge=0, lt=2**32)
+    seed: int = Field(default=0, ge=0, lt=2**32)
     airframe: Airframe = "airsim"
     planner: str = "rrt_star"
     clock: Literal["lockstep", "realtime"] = "lockstep"

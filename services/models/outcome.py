@@ -8,7 +8,8 @@ from pydantic import Field
 
 from services.models.base import Strict
 from services.models.detection import DetectionReport
-from services.models.mission import FaultModel, MissionSpec, Trigger
+from services.models.fault_spec import FaultModel, Trigger
+from services.models.mission import MissionSpec
 from services.models.pilots import GuardName
 from services.models.propagation import Propagation
 

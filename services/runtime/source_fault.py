@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from services.models.fault_model import draw_bits, groups, struck
+from services.models.fault_spec import FaultSpec
 from services.models.inter_kernel_states import InterKernelState, members
-from services.models.mission import FaultSpec
 from services.models.outcome import InjectionRecord
 from services.runtime import rng
 

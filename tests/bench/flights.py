@@ -12,7 +12,8 @@ import numpy as np
 
 from dashboard.campaigns.scheduler import Finished
 from dashboard.campaigns.spec import Run
-from services.models.mission import FaultSpec, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import MissionSpec
 from tests.bench.fly_all import fly_all
 
 

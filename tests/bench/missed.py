@@ -19,7 +19,8 @@ from deploy.recording.flight_status import series
 from detector.schemes.registry import with_models
 from services.bus.horizon import Stamped
 from services.models.detection import DetectorSpec
-from services.models.mission import FaultSpec, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import MissionSpec
 
 WORLDS = ("sparse", "dense")
 TARGETS = (

@@ -10,7 +10,8 @@ from collections import Counter
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from deploy.mission.replay import replay
-from services.models.mission import FaultSpec, Limits, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import Limits, MissionSpec
 
 TARGETS = ("pid", "trajectory", "pid", "collision_check", "point_cloud", "octomap", "rrt_star")
 SPEC = MissionSpec(world="sparse", seed=7, limits=Limits(mission_time_s=8.0))

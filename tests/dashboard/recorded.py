@@ -6,7 +6,8 @@ import pytest
 
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
-from services.models.mission import FaultSpec, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import MissionSpec
 
 GOLDEN = MissionSpec(seed=7)
 FAULTY = GOLDEN.model_copy(

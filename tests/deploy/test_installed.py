@@ -15,7 +15,8 @@ import pytest
 
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
-from services.models.mission import FaultSpec, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import MissionSpec
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())

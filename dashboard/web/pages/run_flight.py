@@ -23,8 +23,9 @@ from dashboard.web.components.frame import section
 from dashboard.web.components.parts import legend
 from dashboard.web.components.propagation_view import propagation_view
 from services.bus.topics import TICK_NS
+from services.models.fault_spec import FaultSpec
 from services.models.inter_kernel_states import STATES
-from services.models.mission import FaultSpec, MissionSpec
+from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
 from sim.world import World, make_world
 

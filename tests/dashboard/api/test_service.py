@@ -14,7 +14,8 @@ import pytest
 from dashboard.campaigns.spec import Arm, CampaignSpec, RecordingPolicy
 from dashboard.campaigns.store.store import Store
 from dashboard.client import Client, RequestRefusedError
-from services.models.mission import FaultSpec, Limits, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
 from tests.conftest import alive, descendants, wait_until
 from tests.dashboard.api.conftest import PATIENCE_S, Serving, serving

@@ -19,7 +19,8 @@ from detector.schemes.model_files import BadModelError
 from detector.schemes.registry import MODELS, with_models
 from services.bus.topics import STAGES
 from services.models.detection import DetectorSpec
-from services.models.mission import FaultSpec, Limits, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
 from services.models.platform import KernelLatency, PlatformDefinition
 

@@ -6,7 +6,8 @@ from deploy.config.check import BadSpecError, check
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from deploy.mission.replay import replay
-from services.models.mission import FaultSpec, Limits, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
 
 

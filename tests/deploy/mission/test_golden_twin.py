@@ -5,7 +5,8 @@ import pytest
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from services.kernels import KERNELS
-from services.models.mission import FaultSpec, Limits, MissionSpec, Trigger
+from services.models.fault_spec import FaultSpec, Trigger
+from services.models.mission import Limits, MissionSpec
 
 SHORT = Limits(mission_time_s=6.0)
 """Every kernel is called in this time."""

@@ -13,7 +13,8 @@ from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from injector.tracing.symbols import demangled
-from services.models.mission import FaultSpec, Limits, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
 from services.models.own_stack import OwnStack
 from tests.conftest import forked

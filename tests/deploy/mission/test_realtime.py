@@ -5,7 +5,8 @@ import pytest
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
-from services.models.mission import FaultSpec, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import MissionSpec
 from services.models.world import BoxWorld
 from tests.deploy.mid_flight import fly_and_crash
 from tests.deploy.mission.test_flight import assert_nothing_is_left

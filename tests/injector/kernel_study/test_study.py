@@ -13,7 +13,7 @@ from injector.kernel_study.instruction_index import InstructionIndex
 from injector.kernel_study.study import LOST, StudyRun, SubjectInjector, subject_injector
 from injector.kernel_study.subject import Subject
 from services.kernels import KERNELS
-from services.models.mission import FaultSpec
+from services.models.fault_spec import FaultSpec
 from tests.conftest import descendants, wait_until
 from tests.injector.programs import state
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chisquare
 
 from services.models.fault_model import draw_bits, groups, struck
-from services.models.mission import FaultSpec
+from services.models.fault_spec import FaultSpec
 from services.runtime.rng import generator
 
 

@@ -9,7 +9,8 @@ from pydantic import ValidationError
 
 from deploy.config.check import one_line
 from services.models.equipment import PROFILES
-from services.models.mission import FaultSpec, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import MissionSpec
 
 
 def test_the_paper_profile_sets_the_published_parameters() -> None:

@@ -7,7 +7,8 @@ import pytest
 
 from services.bus.arrays import state
 from services.bus.messages import header
-from services.models.mission import FaultSpec, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import MissionSpec
 from sim.flight import SimulatedFlight
 from sim.sensors import telemetry
 from sim.sensors.camera import DepthCamera

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from services.models.mission import FaultSpec, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import MissionSpec
 from sim.flight import SimulatedFlight
 from sim.vehicle.airframe import airframe
 from sim.vehicle.motor_fault import MotorFault

@@ -5,7 +5,8 @@ import pytest
 from dashboard.api.routes.flights import FlightInfo
 from dashboard.client import Client, RequestRefusedError
 from deploy.mission.replay import Replay
-from services.models.mission import FaultSpec, Limits, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import Limits, MissionSpec
 
 MISSION = MissionSpec(limits=Limits(mission_time_s=6))
 LONG = MissionSpec(mission="scanning", limits=Limits(mission_time_s=16))

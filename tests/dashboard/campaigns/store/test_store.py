@@ -22,7 +22,8 @@ from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.schema import Base
 from dashboard.campaigns.store.store import BusyError, Store
 from deploy.config.check import BadSpecError
-from services.models.mission import FaultSpec, MissionSpec, Site, Trigger
+from services.models.fault_spec import FaultSpec, Site, Trigger
+from services.models.mission import MissionSpec
 from services.models.outcome import NO_FLIGHT, InjectionRecord, NodeReport, Outcome
 
 SPEC = CampaignSpec(name="x", runs=3, arms=(Arm(name="a"), Arm(name="b", fault=FaultSpec(target="pid"))))

@@ -9,8 +9,9 @@ from dashboard.web.charts import run_data
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
 from services.models.detection import AlarmRecord, DetectionReport, DetectorSpec
+from services.models.fault_spec import FaultSpec, Trigger
 from services.models.inter_kernel_states import STATES
-from services.models.mission import FaultSpec, Limits, MissionSpec, Trigger
+from services.models.mission import Limits, MissionSpec
 
 SPEC = MissionSpec(seed=7, limits=Limits(mission_time_s=8))
 STRUCK_AT = 120

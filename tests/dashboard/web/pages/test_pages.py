@@ -10,7 +10,8 @@ from playwright.sync_api import Locator, Page, expect
 
 from dashboard.campaigns.spec import Arm, CampaignSpec
 from dashboard.client import Client
-from services.models.mission import FaultSpec, Limits, MissionSpec
+from services.models.fault_spec import FaultSpec
+from services.models.mission import Limits, MissionSpec
 from tests.dashboard.api.conftest import PATIENCE_S, Serving, serving
 from tests.dashboard.web.conftest import Looking
 from tests.dashboard.web.stored import stored
