@@ -9,8 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from dashboard.campaigns.statistics.proportions import wilson
-from injector.kernel_study.instruction_index import InstructionIndex
-from injector.kernel_study.study import StudyResult, StudyRun
+from injector.kernel_study.study import CallLength, StudyResult, StudyRun
 from services.models.base import Strict
 from services.models.outcome import InjectionRecord
 
@@ -39,8 +38,8 @@ class KernelSummary(Strict):
     """One kernel's outcomes. Rates are of what was made now, not of what was kept from before.
 
     ``deviations``: median, 95th percentile and maximum of the largest difference of a value, in the kernel's
-    ``unit``, over silent corruption that has one (``measured``). ``covered``: the part of the call's
-    instructions that is drawn from, uniformly.
+    ``unit``, over silent corruption that has one (``measured``). ``length``: the call's instructions, and
+    how many of them are in scope and can be struck; each of these is drawn alike.
     """
 
     kernel: str
@@ -52,7 +51,7 @@ class KernelSummary(Strict):
     measured: int
     deviations: tuple[float, float, float] | None
     precisions: dict[str, int]
-    covered: float
+    length: CallLength
     not_injected: dict[str, int]
     per_second: float
     cpu_ms: float
@@ -62,7 +61,7 @@ def summarise(
     kernel: str,
     unit: str,
     runs: Sequence[StudyRun],
-    clock: InstructionIndex,
+    length: CallLength,
     per_second: float,
     cpu_ms: float,
 ) -> KernelSummary:
@@ -80,7 +79,7 @@ def summarise(
         measured=len(apart),
         deviations=tuple(float(one) for one in np.quantile(apart, (0.5, 0.95, 1.0))) if apart else None,
         precisions=dict(Counter(run.injection.precision for run in runs)),
-        covered=clock.covered,
+        length=length,
         not_injected=dict(Counter(run.cause for run in runs if run.result == "not_injected")),
         per_second=per_second,
         cpu_ms=cpu_ms,

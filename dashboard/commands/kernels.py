@@ -80,8 +80,8 @@ def run(
             made = sum(one.index not in known for one in found[name])
             section.finish(found[name])
             rates = made / (time.monotonic() - begin), 1e3 * study.cpu_s / made if made else 0.0
-            assert section.clock is not None  # noqa: S101 - the study is made
-            summaries.append(summarise(name, KERNELS[name].unit, found[name], section.clock, *rates))
+            assert section.length is not None  # noqa: S101 - the study is made
+            summaries.append(summarise(name, KERNELS[name].unit, found[name], section.length, *rates))
             if as_json:
                 for one in found[name]:
                     click.echo(one.model_dump_json(by_alias=True))
@@ -119,16 +119,18 @@ def _outcomes(summaries: list[KernelSummary]) -> Table:
 
 
 def _circumstances(summaries: list[KernelSummary]) -> Table:
-    title = "how; drawn from: part of the call's instructions; SDC by: median, 95 %, most"
+    title = "how; in scope: part of the call's instructions, each drawn alike; SDC by: median, 95 %, most"
     table = Table(title=title, box=SIMPLE)
-    for column in ("kernel", "precision", "drawn from", "SDC by", "unit", "per s", "CPU ms each"):
+    for column in ("kernel", "precision", "in scope", "SDC by", "unit", "per s", "CPU ms each"):
         table.add_column(column, justify="left" if column in ("kernel", "unit") else "right")
     for line in summaries:
         precisions = ", ".join(f"{name} {count}" for name, count in line.precisions.items())
         apart = " ".join(f"{one:.2g}" for one in line.deviations) if line.deviations else "-"
         unit = line.unit.partition(":")[0]
         rates = f"{line.per_second:.0f}", f"{line.cpu_ms:.1f}"
-        table.add_row(line.kernel, precisions, f"{line.covered:.0%}", apart, unit, *rates)
+        length = line.length
+        scope = f"{length.scope / length.all:.0%} of {length.all:,}" if length.all else f"{length.scope:,}"
+        table.add_row(line.kernel, precisions, scope, apart, unit, *rates)
     return table
 
 

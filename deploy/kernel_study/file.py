@@ -1,7 +1,7 @@
 """The file of a kernel study: JSON lines, written while it is made, so that it can be continued.
 
-Of each kernel one line says what is asked for and how its instructions are counted; one line each injection
-follows. A line is written whole or, if we are killed meanwhile, taken away again. A kernel whose study is
+Of each kernel one line says what is asked for and how long its call is; one line each injection follows.
+A line is written whole or, if we are killed meanwhile, taken away again. A kernel whose study is
 complete is put in order, so that the same study is the same bytes.
 """
 
@@ -15,19 +15,18 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from deploy.config.check import BadSpecError
-from injector.kernel_study.instruction_index import InstructionIndex
-from injector.kernel_study.study import StudyRun
+from injector.kernel_study.study import CallLength, StudyRun
 from services.models.base import Strict
 from services.models.fault_spec import FaultSpec
 
 
 class StudyHeader(Strict):
-    """What is asked of one kernel's study, and the clock by which its injection points are drawn."""
+    """What is asked of one kernel's study, and how many instructions its call has."""
 
     kernel: str
     fault: FaultSpec
     seed: int
-    clock: InstructionIndex
+    length: CallLength
 
 
 class StudyLine(Strict):
@@ -43,19 +42,19 @@ class KernelSection:
     def __init__(self, kernel: str, fault: FaultSpec, seed: int, file: StudyFile) -> None:
         self.kernel, self.fault, self.seed = kernel, fault, seed
         self._file = file
-        self.clock: InstructionIndex | None = None
+        self.length: CallLength | None = None
         self.runs: dict[int, StudyRun] = {}
 
     def head(self) -> StudyLine:
         """The header line of the section, which precedes its runs."""
-        assert self.clock is not None  # noqa: S101 - surveyed before
+        assert self.length is not None  # noqa: S101 - begun before
         return StudyLine(
-            study=StudyHeader(kernel=self.kernel, fault=self.fault, seed=self.seed, clock=self.clock)
+            study=StudyHeader(kernel=self.kernel, fault=self.fault, seed=self.seed, length=self.length)
         )
 
-    def survey(self, clock: InstructionIndex) -> None:
-        """Keep the clock of the kernel's instructions."""
-        self.clock = clock
+    def begin(self, length: CallLength) -> None:
+        """Keep how long the kernel's call is."""
+        self.length = length
         self._file.append(self.head())
 
     def add(self, run: StudyRun) -> None:
@@ -105,7 +104,7 @@ class StudyFile:
         if line.study is not None:
             head = line.study
             section = KernelSection(head.kernel, head.fault, head.seed, self)
-            section.clock = head.clock
+            section.length = head.length
             self._sections[head.kernel] = section
         if line.run is not None:
             self._sections[line.run.kernel].runs[line.run.index] = line.run
@@ -137,7 +136,7 @@ class StudyFile:
         lines = [
             line
             for section in self._sections.values()
-            if section.clock is not None
+            if section.length is not None
             for line in [
                 section.head(),
                 *(StudyLine(run=section.runs[index]) for index in sorted(section.runs)),

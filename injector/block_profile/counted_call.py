@@ -3,7 +3,7 @@
 The copy of a node that runs it finds a trap wherever code in question lies. Who arrives at one is sent on to
 a translation of the block there (:mod:`injector.block_profile.x86_64_translator`), which is made then; blocks
 that follow one another are linked, so that each is trapped at but once or twice. Code that is not in question
-runs as it is. x86-64 only; the process has one thread.
+runs as it is. The call can be stopped before drawn passes. x86-64 only; the process has one thread.
 """
 
 from __future__ import annotations
@@ -13,8 +13,12 @@ import signal
 import struct
 import threading
 from bisect import bisect_right
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
 
 from injector.block_profile.translation_memory import TranslationMemory, TranslationMemoryError, map_memory
 from injector.block_profile.x86_64_translator import (
@@ -36,6 +40,12 @@ from injector.tracing.tracees import FAULTS
 LIMIT_S = 60.0
 """Wall time after which the process is killed."""
 
+MOST_TRAPS = 250_000
+"""Traps after which a call is given up: its blocks do not lead to one another (others have 5,000 to 100,000).
+
+A number and no time, so that it does not depend on the machine which calls can be counted.
+"""
+
 _WORD = struct.Struct("<Q")
 
 
@@ -44,12 +54,17 @@ class UncountableError(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class CountedBlock:
-    """A block that was passed so often: its ``instructions``, and at its last pass ``noted``."""
+class BlockCounts:
+    """How often each block was passed so far, in the order in which they were met first.
 
-    instructions: tuple[int, ...]
-    passes: int
-    noted: int
+    ``instructions`` has the addresses of each, ``leaders`` the first of these. ``noted`` says how often the
+    watched address had been passed at the last pass of each (no meaning where none is watched).
+    """
+
+    instructions: tuple[tuple[int, ...], ...]
+    leaders: NDArray[np.uint64]
+    passes: NDArray[np.int64]
+    noted: NDArray[np.int64]
 
 
 class CountedCall:
@@ -62,12 +77,12 @@ class CountedCall:
         code: Sequence[tuple[int, int]],
         *,
         leaders: Collection[int] = frozenset(),
-        stop: tuple[int, int] | None = None,
+        stops: Mapping[int, Sequence[int]] | None = None,
     ) -> None:
         """Make ready to count in ``code``, ranges in order.
 
-        Blocks end before each of ``leaders`` at the latest. With a ``stop``, one of these and a number, the
-        call ends before that pass through it, and every block notes how often it was passed before.
+        Blocks end before each of ``leaders`` at the latest. ``stops`` are the passes, in order and from 1 on,
+        before which the call is to stop, by their addresses, which must be among ``leaders``.
 
         :raises UncountableError: if there is no room for translations.
         """
@@ -81,20 +96,24 @@ class CountedCall:
             raise UncountableError(str(error)) from error
         self._lies: dict[int, int] = {}
         self._blocks: list[tuple[Translation, Counters]] = []
+        self._at = np.empty((0, 2), np.int64)
+        self._first = np.empty(0, np.uint64)
         self._exits: dict[int, Exit] = {}
-        self._stop, self._stopped_at = stop, 0
-        self._of = 0
-        if stop is not None:
-            self._stop_counters = self._prepare_stop(*stop)
+        self._left = {address: list(passes) for address, passes in (stops or {}).items()}
+        self._watched = self._memories[0].words(1) if stops else 0
+        self._stop_counters = {address: self._prepare_stop(address) for address in self._left}
+        self._stops_at: dict[int, int] = {}
+        if self._left:
+            self.watch(next(iter(self._left)))
+        self._begun, self._traps = False, 0
         for start, end in code:
             process.write_memory(start, TRAP * (end - start))
 
-    def _prepare_stop(self, address: int, hit: int) -> Counters:
+    def _prepare_stop(self, address: int) -> Counters:
         memory = self._memory_of(address)
         passes, remaining = memory.words(1), memory.words(1)
-        self._of = passes
-        self._process.write_memory(remaining, _WORD.pack(hit))
-        return Counters(passes, memory.scratch, remaining=remaining)
+        self._process.write_memory(remaining, _WORD.pack(self._left[address][0]))
+        return Counters(passes, memory.scratch, memory.words(1), self._watched, remaining)
 
     def code_at(self, address: int) -> bytes:
         """The true bytes of the longest instruction that may begin at an address in question."""
@@ -109,28 +128,63 @@ class CountedCall:
         index = bisect_right(self._starts, address) - 1
         return index >= 0 and address < self._ranges[index][1]
 
-    def run(self, mark: int) -> list[CountedBlock]:
-        """Run to the signal ``mark``, or to the stop; what was passed.
+    def run(self, mark: int) -> BlockCounts:
+        """Run to the signal ``mark``, which ends the call; what was passed.
 
-        :raises UncountableError: if neither comes.
+        :raises UncountableError: if it does not come.
         :raises GoneError: if somebody kills the process.
         """
+        self.to_next_stop(mark)
+        return self.counts()
+
+    def watch(self, address: int) -> None:
+        """Have every block note from now on how often one of the stops' addresses was passed."""
+        self._process.write_memory(self._watched, _WORD.pack(self._stop_counters[address].passes))
+
+    def to_next_stop(self, mark: int) -> tuple[int, int] | None:
+        """Run to the next stop, before the instruction there: address and number of the pass.
+
+        None at the call's end, which the signal ``mark`` tells.
+
+        :raises UncountableError, GoneError: as :meth:`run` does.
+        """
+        with self._limited():
+            return self._run(mark)
+
+    def counts(self) -> BlockCounts:
+        """How often each block was passed so far."""
+        if len(self._at) < len(self._blocks):
+            words = [(one.passes, one.noted or one.passes) for _, one in self._blocks]
+            self._at = np.array(words, np.int64).reshape(-1, 2)
+            self._first = np.array([block.instructions[0] for block, _ in self._blocks], np.uint64)
+        found = np.zeros_like(self._at)
+        for memory in self._memories:
+            begin, end = memory.words_in_use
+            words_there = np.frombuffer(self._process.read_memory(begin, end - begin), np.int64)
+            there = (self._at >= begin) & (self._at < end)
+            found[there] = words_there[self._at[there] - begin >> 3]
+        return BlockCounts(
+            tuple(block.instructions for block, _ in self._blocks), self._first, found[:, 0], found[:, 1]
+        )
+
+    @contextmanager
+    def _limited(self) -> Iterator[None]:
         watchdog = threading.Timer(LIMIT_S, os.kill, (self._process.pid, signal.SIGKILL))
         watchdog.start()
         try:
-            self._run(mark)
+            yield
         except (TranslationError, TranslationMemoryError) as error:
             raise UncountableError(str(error)) from error
         finally:
             watchdog.cancel()
             watchdog.join()
-        return [self._passed(block, counters) for block, counters in self._blocks]
 
-    def _run(self, mark: int) -> None:
+    def _run(self, mark: int) -> tuple[int, int] | None:
         tid = self._thread.tid
         at = ptrace.program_counter(tid)
-        if self._in_question(at):
+        if not self._begun and self._in_question(at):
             ptrace.go_to(tid, self._translated(at))
+        self._begun = True
         number = 0
         while True:
             ptrace.resume(tid, number)
@@ -141,24 +195,33 @@ class CountedCall:
                 message = f"process {tid} was killed in a counted call"
                 raise ptrace.GoneError(message)
             if report.kind == "signal" and report.signal == mark:
-                if self._stop is not None:
-                    raise UncountableError("the call ended before the pass that another copy made")
-                return
+                return None
             if report.kind == "signal" and report.signal == signal.SIGTRAP:
-                if self._next():
-                    return
+                address = self._stops_at.get(ptrace.program_counter(tid))
+                if address is not None:
+                    return address, self._passed_stop(address)
+                self._lead_on()
             elif report.kind == "signal" and report.signal in {*FAULTS, signal.SIGABRT}:
                 message = f"the call does not run in translation: signal {report.signal}"
                 raise UncountableError(message)
             elif report.kind == "signal":
                 number = report.signal
 
-    def _next(self) -> bool:
-        """Lead on who stands behind a trap; whether it is the stop's."""
-        after = ptrace.program_counter(self._thread.tid)
-        if after == self._stopped_at:
-            return True
-        trap = after - len(TRAP)
+    def _passed_stop(self, address: int) -> int:
+        """The number of the pass before which the call stopped; the next one at this address is awaited."""
+        hit, *left = self._left[address]
+        self._left[address] = left
+        after = left[0] - hit if left else 0  # counts down from there: it does not come to zero again
+        self._process.write_memory(self._stop_counters[address].remaining, _WORD.pack(after))
+        return hit
+
+    def _lead_on(self) -> None:
+        """Lead on who stands behind a trap."""
+        self._traps += 1
+        if self._traps > MOST_TRAPS:
+            message = f"the call does not run in translation: more than {MOST_TRAPS} traps"
+            raise UncountableError(message)
+        trap = ptrace.program_counter(self._thread.tid) - len(TRAP)
         exit_ = self._exits.get(trap)
         if exit_ is not None:
             target = exit_.target
@@ -170,7 +233,6 @@ class CountedCall:
             message = f"the call does not run in translation: a trap at {trap:#x}"
             raise UncountableError(message)
         ptrace.go_to(self._thread.tid, where)
-        return False
 
     def _translated(self, address: int) -> int:
         """Where the translation of the block at an address lies; made if there is none yet."""
@@ -178,17 +240,16 @@ class CountedCall:
             return self._lies[address]
         memory = self._memory_of(address)
         at = memory.here
-        if self._stop is not None and address == self._stop[0]:
-            counters = self._stop_counters
-        else:
-            noted = memory.words(1) if self._of else 0
-            counters = Counters(memory.words(1), memory.scratch, noted, self._of)
+        counters = self._stop_counters.get(address) or Counters(
+            memory.words(1), memory.scratch, memory.words(1) if self._watched else 0, self._watched
+        )
         made = translate(self._bytes(address, MOST_BYTES), address, at, counters, self._leaders)
         memory.take(len(made.code))
         self._process.write_memory(at, made.code)
         if made.takes_a_jump:
             self._process.write_memory(address, jump(address, at))
-        self._stopped_at = made.stop or self._stopped_at
+        if made.stop:
+            self._stops_at[made.stop] = address
         self._exits |= {one.trap: one for one in made.exits}
         self._blocks.append((made, counters))
         self._lies[address] = at
@@ -196,10 +257,3 @@ class CountedCall:
 
     def _memory_of(self, address: int) -> TranslationMemory:
         return self._memories[bisect_right(self._memories, address, key=lambda one: one.start) - 1]
-
-    def _passed(self, block: Translation, counters: Counters) -> CountedBlock:
-        return CountedBlock(block.instructions, self._word(counters.passes), self._word(counters.noted))
-
-    def _word(self, address: int) -> int:
-        (value,) = _WORD.unpack(self._process.read_memory(address, _WORD.size)) if address else (0,)
-        return int(value)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from injector.block_profile.counted_call import CountedBlock
+from injector.block_profile.counted_call import BlockCounts
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,22 +25,27 @@ class InstructionCounts:
 
     @classmethod
     def of(
-        cls, blocks: Iterable[CountedBlock], order: Callable[[int], Any] = lambda address: address
+        cls, blocks: BlockCounts, order: Callable[[int], Any] = lambda address: address
     ) -> InstructionCounts:
         """Sum up what blocks were passed; an instruction may lie in several. Addresses are put in order."""
         passes: dict[int, int] = {}
         leaders = set()
-        for block in blocks:
-            if block.passes:
-                leaders.add(block.instructions[0])
-            for address in block.instructions if block.passes else ():
-                passes[address] = passes.get(address, 0) + block.passes
+        for instructions, often in zip(blocks.instructions, blocks.passes.tolist(), strict=True):
+            if often:
+                leaders.add(instructions[0])
+            for address in instructions if often else ():
+                passes[address] = passes.get(address, 0) + often
         addresses = sorted(passes, key=order)
         return cls(
             np.array(addresses, np.uint64),
             np.array([passes[address] for address in addresses], np.int64),
             frozenset(leaders),
         )
+
+    def only(self, is_eligible: Callable[[int], bool]) -> InstructionCounts:
+        """The same of those instructions alone that are eligible."""
+        kept = np.array([is_eligible(int(address)) for address in self.addresses], bool)
+        return InstructionCounts(self.addresses[kept], self.passes[kept], self.leaders)
 
     @property
     def executed(self) -> int:
@@ -78,22 +83,34 @@ def draw_instruction(
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A way to a dynamic instruction: to the ``hit``-th pass through ``address``, then ``rest`` passes on."""
+    """A way to a dynamic instruction: to the ``hit``-th pass through ``address``, then ``rest`` passes on.
+
+    Passes are counted from where one stands, that one not included.
+    """
 
     address: int
     hit: int
     rest: int
 
 
-def shortest_way(blocks: Sequence[CountedBlock], target: DynamicInstruction) -> Way | None:
+def shortest_way(
+    blocks: BlockCounts, target: DynamicInstruction, before: BlockCounts | None = None
+) -> Way | None:
     """The way with the fewest passes to count; None if none is shorter than to count all of the target's.
 
-    ``blocks`` are of a copy that stands before the target and noted its passes.
+    ``blocks`` are of a copy that stands before the target and noted its passes; ``before`` tells of the same
+    copy where the way begins, without it at the beginning of the call.
     """
-    ways = [
-        Way(one.instructions[0], one.passes, target.hit - one.noted)
-        for one in blocks
-        if one.passes and one.instructions[0] != target.address
-    ]
-    best = min(ways, key=lambda way: (way.hit + way.rest, way.address), default=None)
-    return best if best is not None and best.hit + best.rest < target.hit else None
+    earlier = np.zeros_like(blocks.passes)
+    if before is not None:
+        earlier[: len(before.passes)] = before.passes
+    passes = blocks.passes - earlier
+    of_target = blocks.leaders == target.address
+    possible = np.flatnonzero((passes > 0) & ~of_target)
+    direct = target.hit - int(earlier[of_target].sum())
+    costs = (passes + target.hit - blocks.noted)[possible]
+    if not len(possible) or int(costs.min()) >= direct:
+        return None
+    cheapest = possible[costs == costs.min()]
+    best = int(cheapest[np.argmin(blocks.leaders[cheapest])])
+    return Way(int(blocks.leaders[best]), int(passes[best]), target.hit - int(blocks.noted[best]))

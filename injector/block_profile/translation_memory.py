@@ -71,6 +71,11 @@ class TranslationMemory:
         if self._next_code > self.code + _CODE_SIZE:
             raise TranslationMemoryError("a call runs more code than there is room for")
 
+    @property
+    def words_in_use(self) -> tuple[int, int]:
+        """Where the words that were taken begin and end."""
+        return self.data, self._next_data
+
     def words(self, number: int) -> int:
         """The address of so many new words, zero at first."""
         address = self._next_data

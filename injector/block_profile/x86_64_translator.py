@@ -28,6 +28,7 @@ TRAP = b"\xcc"
 _INCREMENT = b"\x48\xff\x05"  # inc qword [rip+d]
 _STORE_RAX, _LOAD_RAX = b"\x48\x89\x05", b"\x48\x8b\x05"  # mov [rip+d],rax and back
 _LOAD_RAX_FAR = b"\x48\xa1"  # mov rax,[address]
+_LOAD_BY_RAX = b"\x48\x8b\x00"  # mov rax,[rax]
 _RAX_PLUS_ONE = b"\x48\x8d\x40\x01"  # lea rax,[rax+1]
 _STORE_RCX, _LOAD_RCX = b"\x48\x89\x0d", b"\x48\x8b\x0d"
 _RCX_LESS_ONE = b"\x48\x8d\x49\xff"  # lea rcx,[rcx-1]
@@ -51,15 +52,15 @@ class TranslationError(Exception):
 class Counters:
     """Addresses of the words in which a block's translation counts; each 0 if it is to be left out.
 
-    ``passes`` counts the passes through the block. At each, ``noted`` gets the present value of ``of``, and
-    ``remaining`` becomes one less: at zero the translation traps, at the block's beginning. ``scratch`` are
-    two words to keep registers in.
+    ``passes`` counts the passes through the block. At each, ``noted`` gets the present value of the word
+    whose address ``watched`` holds, and ``remaining`` becomes one less: at zero the translation traps, at the
+    block's beginning. ``scratch`` are two words to keep registers in.
     """
 
     passes: int
     scratch: int
     noted: int = 0
-    of: int = 0
+    watched: int = 0
     remaining: int = 0
 
 
@@ -189,7 +190,7 @@ class _Writer:
         self.code += _RAX_PLUS_ONE
         self._referring(_STORE_RAX, counters.passes)
         if counters.noted:
-            self.code += _LOAD_RAX_FAR + _ADDRESS.pack(counters.of)
+            self.code += _LOAD_RAX_FAR + _ADDRESS.pack(counters.watched) + _LOAD_BY_RAX
             self._referring(_STORE_RAX, counters.noted)
         self._referring(_LOAD_RAX, counters.scratch)
         if counters.remaining:

@@ -13,20 +13,12 @@ from contextlib import AbstractContextManager
 
 import numpy as np
 
-from injector.block_profile.counted_call import CountedCall, UncountableError
-from injector.block_profile.instruction_counts import (
-    DynamicInstruction,
-    InstructionCounts,
-    draw_instruction,
-    shortest_way,
-)
-from injector.faults.code_scope import countable_code
-from injector.faults.eligibility import is_eligible
+from injector.block_profile.counted_call import UncountableError
+from injector.block_profile.instruction_counts import DynamicInstruction, shortest_way
+from injector.faults.call_profile import CallProfile, counted_call
 from injector.flight.probe import ProbeRun
-from injector.isa.host import decode
-from injector.isa.instruction import DecodeError
 from injector.tracing.compiled_functions import compiled_functions
-from injector.tracing.elf import CodeLocations, place
+from injector.tracing.elf import place
 from services.kernels import scope_of
 from services.models.fault_spec import FaultSpec, Site, Trigger, Waypoint
 from services.runtime.kernel_timer import GATE_SIGNAL
@@ -51,10 +43,10 @@ def draw_site(probes: Probes, fault: FaultSpec, trigger: Trigger, draw: np.rando
     """
     try:
         with probes() as probe:
-            drawn, site, counts = _draw(probe, fault, draw)
+            drawn, site, leaders = _draw(probe, fault, draw)
         if drawn.hit > FEW_PASSES:
             with probes() as probe:
-                site = _with_a_way(probe, fault, drawn, site, counts)
+                site = _with_a_way(probe, fault, drawn, site, leaders)
     except UncountableError:
         with probes() as probe:
             took_ns = probe.run()
@@ -64,24 +56,14 @@ def draw_site(probes: Probes, fault: FaultSpec, trigger: Trigger, draw: np.rando
 
 def _draw(
     probe: ProbeRun, fault: FaultSpec, draw: np.random.Generator
-) -> tuple[DynamicInstruction, Site, InstructionCounts]:
-    call = CountedCall(probe.thread, probe.process, countable_code(fault, probe.process))
-    blocks = call.run(GATE_SIGNAL)
-    places = CodeLocations(probe.process.pid, probe.process.maps(), compiled_functions())
-    # By names and offsets, not by addresses: the draw is the same where memory lies elsewhere.
-    counts = InstructionCounts.of(blocks, order=places.named)
-
-    def eligible(address: int) -> bool:
-        try:
-            return is_eligible(fault, decode(call.code_at(address), address))
-        except DecodeError:
-            return False
-
-    drawn = draw_instruction(counts, eligible, draw)
+) -> tuple[DynamicInstruction, Site, frozenset[int]]:
+    profile = CallProfile(probe.thread, probe.process, fault, GATE_SIGNAL, compiled_functions())
+    drawn = profile.draw(draw)
     if drawn is None:
-        message = f"none of the call's {counts.executed} instructions in scope {scope_of(fault)} is eligible"
+        executed, scope = profile.counts.executed, scope_of(fault)
+        message = f"none of the call's {executed} instructions in scope {scope} is eligible"
         raise NothingEligibleError(message)
-    there = places.at(drawn.address)
+    there = profile.places.at(drawn.address)
     site = Site(
         precision="exact",
         module=there.module,
@@ -89,20 +71,22 @@ def _draw(
         offset=there.offset,
         hit=drawn.hit,
     )
-    return drawn, site, counts
+    return drawn, site, profile.counts.leaders
 
 
 def _with_a_way(
-    probe: ProbeRun, fault: FaultSpec, drawn: DynamicInstruction, site: Site, counts: InstructionCounts
+    probe: ProbeRun, fault: FaultSpec, drawn: DynamicInstruction, site: Site, leaders: frozenset[int]
 ) -> Site:
-    call = CountedCall(
+    call = counted_call(
         probe.thread,
         probe.process,
-        countable_code(fault, probe.process),
-        leaders=counts.leaders | {drawn.address},
-        stop=(drawn.address, drawn.hit),
+        fault,
+        leaders=leaders | {drawn.address},
+        stops={drawn.address: [drawn.hit]},
     )
-    way = shortest_way(call.run(GATE_SIGNAL), drawn)
+    if call.to_next_stop(GATE_SIGNAL) is None:
+        raise UncountableError("the call ended before the pass that another copy made")
+    way = shortest_way(call.counts(), drawn)
     if way is None:
         return site
     there = place(probe.process.pid, probe.process.maps(), way.address, compiled_functions())

@@ -1,153 +1,192 @@
-"""Run through a call once and stop at every drawn place, where a copy is made for one injection.
+"""Run through a call once and stop at every drawn instruction, where a copy is made for one injection.
 
-To bring each copy to its place from the beginning of the call would cost far more than its fault.
+To bring each copy to its place from the beginning of the call would cost far more than its fault. The copy
+that goes through the call is untouched: its breakpoints are the processor's. From where it stands, the
+way to the next place is what passes the fewest of them; a copy in translation has found it before.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
-from collections.abc import Generator, Iterator, Sequence
-from contextlib import ExitStack
+from collections import defaultdict
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from itertools import groupby
 
-import numpy as np
-
-from injector.kernel_study.instruction_index import (
-    LIMIT_S,
-    REGISTERS,
-    InstructionIndex,
-    InstructionIndexError,
-)
+from injector.block_profile.counted_call import CountedCall
+from injector.block_profile.instruction_counts import DynamicInstruction, Way, shortest_way
+from injector.faults.call_profile import counted_call
+from injector.isa.host import decode
 from injector.kernel_study.remote_fork import RemoteForks
 from injector.tracing import ptrace
 from injector.tracing.perf_events import Breakpoint, await_trap
-from injector.tracing.ptrace import StopReport
+from injector.tracing.process import Process, ProcessIdentity, VanishedError
+from injector.tracing.ptrace import GoneError
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from services.models.base import Strict
+from services.models.fault_spec import FaultSpec
 
-BEGINNING = -1
-"""Stands for an anchor: the beginning of the call, which is passed once."""
+LIMIT_S = 60.0
+"""Wall time after which a call that does not come to a place is given up."""
+
+Pass = tuple[int, int]
+"""An address, and the number of a pass through it."""
+
+
+class CheckpointError(Exception):
+    """A copy of the call took another path than the one that was counted: one line."""
 
 
 class SamplePoint(Strict):
-    """The ``index``-th drawn instruction: ``step`` steps after the ``hit``-th pass through an anchor."""
+    """The ``index``-th drawn instruction: the call's ``hit``-th pass through an address."""
 
     index: int
-    anchor: int
+    address: int
     hit: int
-    step: int
 
-
-def draw(clock: InstructionIndex, index: int, rng: np.random.Generator) -> SamplePoint:
-    """Draw a place by the instruction index; see :mod:`injector.kernel_study.instruction_index`."""
-    reaches = np.array([clock.reach, *(one.reach for one in clock.anchors)])
-    pairs = np.cumsum(reaches * [1, *(one.passes for one in clock.anchors)])
-    drawn = int(rng.integers(int(pairs[-1])))
-    which = int(np.searchsorted(pairs, drawn, side="right"))
-    hit, step = divmod(drawn - int(pairs[which - 1] if which else 0), int(reaches[which]))
-    return SamplePoint(index=index, anchor=which - 1, hit=hit + 1, step=step)
-
-
-def legs(places: Sequence[SamplePoint], most: int) -> list[list[SamplePoint]]:
-    """Divide the places into lots for one run through the call each: of few anchors, at most ``most`` places.
-
-    The largest first, so that who makes them have done at about the same time.
-    """
-    by_anchor: dict[int, list[SamplePoint]] = defaultdict(list)
-    for place in sorted(places, key=lambda one: (one.anchor, one.hit, one.step, one.index)):
-        by_anchor[place.anchor].append(place)
-    # Those with as many places go together: no leg waits at one anchor for the sake of another.
-    order = sorted(by_anchor, key=lambda anchor: (len(by_anchor[anchor]), anchor))
-    if BEGINNING in by_anchor:
-        order = [BEGINNING, *(anchor for anchor in order if anchor != BEGINNING)]
-    found = []
-    for at in range(0, len(order), REGISTERS):
-        several = [by_anchor[anchor] for anchor in order[at : at + REGISTERS]]
-        parts = -(-sum(map(len, several)) // most)
-        for part in range(parts):
-            cuts = [(len(one) * part // parts, len(one) * (part + 1) // parts) for one in several]
-            leg = [place for one, (low, high) in zip(several, cuts, strict=True) for place in one[low:high]]
-            found.append(leg)
-    return sorted(filter(None, found), key=len, reverse=True)
+    @property
+    def at(self) -> Pass:
+        """Where it is."""
+        return self.address, self.hit
 
 
 class CheckpointRun:
-    """One run through the call at whose beginning ``root`` stands, which stops at the places of a leg."""
+    """Runs through the call at whose beginning ``root`` stands, with stops at drawn instructions.
+
+    These lie in the code of ``fault``'s scope, whose blocks begin at ``leaders``. Signal ``mark`` ends the
+    call.
+    """
 
     def __init__(
-        self, tracees: TraceeGroup, forks: RemoteForks, root: Tracee, clock: InstructionIndex
+        self,
+        tracees: TraceeGroup,
+        forks: RemoteForks,
+        root: Tracee,
+        mark: int,
+        fault: FaultSpec,
+        leaders: frozenset[int],
     ) -> None:
-        self._tracees, self._forks, self._root, self._clock = tracees, forks, root, clock
-        self._anchors = frozenset(one.address for one in clock.anchors)
+        self._tracees, self._forks, self._root = tracees, forks, root
+        self._mark, self._fault, self._leaders = mark, fault, leaders
 
-    def visit(self, leg: Sequence[SamplePoint]) -> Generator[tuple[SamplePoint, Tracee | None]]:
-        """Each place, and the thread that stands there, to be copied; None if the place is refused.
+    def in_order(self, points: Sequence[SamplePoint]) -> list[SamplePoint]:
+        """The points in the order in which the call comes to them.
 
-        :raises InstructionIndexError: if the call takes another path than in the anchor search.
+        :raises CheckpointError: if it does not come to all of them.
+        :raises UncountableError: if it does not run in translation.
+        :raises GoneError: if somebody kills the copy.
         """
-        waiting: dict[int, deque[SamplePoint]] = defaultdict(deque)
-        for place in sorted(leg, key=lambda one: (one.hit, one.step, one.index)):
-            waiting[place.anchor].append(place)
+        by_pass: dict[Pass, list[SamplePoint]] = defaultdict(list)
+        for point in points:
+            by_pass[point.at].append(point)
+        found: list[SamplePoint] = []
+        with self._translated(by_pass) as call:
+            while by_pass:
+                found.extend(by_pass.pop(self._next(call)))
+        return found
+
+    def visit(self, leg: Sequence[SamplePoint]) -> Generator[tuple[SamplePoint, Tracee]]:
+        """Each point of a leg, which is in the call's order, and the thread that stands there, to be copied.
+
+        Who was killed on the way there is told of with the point; no copy can be made of it.
+
+        :raises CheckpointError, UncountableError, GoneError: as :meth:`in_order` does.
+        """
+        places = [(at, list(here)) for at, here in groupby(leg, key=lambda point: point.at)]
+        ways = self._ways([at for at, _ in places])
         thread = self._forks.copy(self._root)
+        # Counted is from here on; the instruction at which it stands was a pass, too.
+        stood_at = ptrace.program_counter(thread.tid)
         try:
-            yield from self._walk(thread, waiting.pop(BEGINNING, deque()))
-            yield from self._pass(thread, waiting)
+            for ((address, _), here), way in zip(places, ways, strict=True):
+                self._to_a_pass(thread, way.address, way.hit - (way.address == stood_at))
+                self._to_a_pass(thread, address, way.rest)
+                stood_at = 0
+                for point in here:
+                    yield point, thread
         finally:
             self._forks.end(thread)
 
-    def _pass(
-        self, thread: Tracee, waiting: dict[int, deque[SamplePoint]]
-    ) -> Iterator[tuple[SamplePoint, Tracee | None]]:
-        by_address = {self._clock.anchors[anchor].address: places for anchor, places in waiting.items()}
-        with ExitStack() as held:
-            # Opening one takes longer than aiming it anew.
-            watched = {at: held.enter_context(Breakpoint(thread, at, held_back=True)) for at in by_address}
-            while watched:
-                address = self._next(thread, watched, {at: by_address[at][0].hit for at in watched})
-                places, hit = by_address[address], by_address[address][0].hit
-                here = deque[SamplePoint]()
-                while places and places[0].hit == hit:
-                    here.append(places.popleft())
-                yield from self._walk(thread, here)
-                if not places:
-                    del watched[address]
+    def _ways(self, places: Sequence[Pass]) -> Iterator[Way]:
+        """The way to each place from the one before it, to the first one from the call's beginning."""
+        before = None
+        ways = []
+        with self._translated(places) as call:
+            for address, hit in places:
+                call.watch(address)
+                if self._next(call) != (address, hit):
+                    raise CheckpointError("the call came to its places in another order than before")
+                counts = call.counts()
+                passed = 0
+                if before is not None:
+                    passed = int(before.passes[before.leaders == address].sum())
+                way = shortest_way(counts, DynamicInstruction(address, hit, hit), before)
+                ways.append(way or Way(address, hit - passed, 0))
+                before = counts
+        return iter(ways)
 
-    def _next(self, thread: Tracee, watched: dict[int, Breakpoint], wanted: dict[int, int]) -> int:
-        """Run until the first of the passes that are waited for; the address.
+    def _next(self, call: CountedCall) -> Pass:
+        stop = call.to_next_stop(self._mark)
+        if stop is None:
+            raise CheckpointError("the call ended before a pass that another copy made")
+        return stop
 
-        Nothing is watched between: a pass that is due at the end of a step would be taken for the step's.
+    @contextmanager
+    def _translated(self, places: Iterable[Pass]) -> Iterator[CountedCall]:
+        """A copy in translation that stops at the places; gone afterwards."""
+        stops: dict[int, list[int]] = defaultdict(list)
+        for address, hit in sorted(places):
+            stops[address].append(hit)
+        copy = self._forks.copy(self._root)
+        try:
+            with Process(ProcessIdentity.of(copy.pid)) as process:
+                leaders = self._leaders | stops.keys()
+                yield counted_call(copy, process, self._fault, leaders=leaders, stops=stops)
+        finally:
+            self._forks.end(copy)
 
-        :raises InstructionIndexError: if there is none.
+    def _to_a_pass(self, thread: Tracee, address: int, hit: int) -> None:
+        """Run to the ``hit``-th pass through an address from here on, this one not counted.
+
+        Processors do not agree on whether a breakpoint counts where one stands, so that is stepped away from.
         """
-        for at, breakpoint_ in watched.items():
-            breakpoint_.aim(wanted[at] - breakpoint_.hits)
-        self._tracees.resume(thread)
-        end = await_trap(self._tracees, thread, lambda: False, LIMIT_S)
-        for breakpoint_ in watched.values():
-            breakpoint_.hold_back()
-        address = ptrace.program_counter(thread.tid) if end == "trapped" else 0
-        if address not in watched or watched[address].hits != wanted[address]:
-            message = f"the call took another path than before: it {end} at {address:#x}"
-            raise InstructionIndexError(message)
-        return address
+        with suppress(GoneError, VanishedError):  # killed: that is told of where no copy can be made
+            while hit > 0:
+                self._step(thread)
+                if ptrace.program_counter(thread.tid) != address:
+                    self._run_to(thread, address, hit)
+                    return
+                hit -= 1
 
-    def _walk(
-        self, thread: Tracee, places: deque[SamplePoint]
-    ) -> Iterator[tuple[SamplePoint, Tracee | None]]:
-        """From a pass to the steps after it, until another one is due."""
-        taken, over = 0, False
-        for place in places:
-            while not over and place.step > taken:
-                steps, report = ptrace.walk(thread.tid, place.step - taken, self._anchors)
-                taken += steps
-                thread.report = report or StopReport("step")
-                if report is not None and report.kind == "gone":  # somebody killed it: no copy can be made
-                    del self._tracees.threads[thread.tid]
-                    break
-                if report is not None and report.kind == "signal" and ptrace.sent_by_another(thread.tid):
-                    # It is no part of the call, and it came before the last of the steps. A copy that was
-                    # made between the call for its thread's number and that for the mark sends it to us.
-                    taken -= 1
-                else:
-                    over = report is not None or ptrace.program_counter(thread.tid) in self._anchors
-            yield place, None if over else thread
+    def _run_to(self, thread: Tracee, address: int, hit: int) -> None:
+        end = ""
+        with Breakpoint(thread, address, hit):
+            while not end or self._is_a_strangers_mark(thread, end):
+                self._tracees.resume(thread)
+                end = await_trap(self._tracees, thread, lambda: False, LIMIT_S)
+        if end in ("finished", "late"):
+            message = f"the call took another path than before: it {end} before {address:#x}"
+            raise CheckpointError(message)
+
+    def _step(self, thread: Tracee) -> None:
+        """Execute the instruction at which a thread stands, all of it if it is a repeated one."""
+        begin = ptrace.program_counter(thread.tid)
+        with Process(ProcessIdentity.of(thread.pid)) as process:
+            instruction = decode(process.read_code(begin), begin)
+        if instruction.text.startswith("rep") or not instruction.steppable:
+            self._run_to(thread, begin + len(instruction.code), 1)
+            return
+        end = ""
+        while not end or self._is_a_strangers_mark(thread, end):
+            end = self._tracees.step(thread)
+        if end not in ("stepped", "gone"):
+            message = f"the call took another path than before: it {end} at {begin:#x}"
+            raise CheckpointError(message)
+
+    @staticmethod
+    def _is_a_strangers_mark(thread: Tracee, end: str) -> bool:
+        """Whether it was a mark that another process sent, which is no part of this call.
+
+        A copy that was made between the call for its thread's number and that for the mark sends it to us.
+        """
+        return end in ("ended", "finished") and ptrace.sent_by_another(thread.tid)

@@ -1,9 +1,11 @@
 """The kernel study: what one fault does to a kernel alone, thousands of times (the paper's Fig. 6).
 
 A worker holds a kernel on its recorded sample (:mod:`injector.kernel_study.subject`). It takes a copy through
-the call once for many injections; at each drawn place another copy is made
+the call once for many injections; at each drawn instruction another copy is made
 (:mod:`injector.kernel_study.checkpoints`), a fault is injected, and it runs to its end. The worker is the
 copies' parent and tracer: they die with it, and nothing of a fault outlives its injection.
+
+Instructions are drawn by the law of flights (docs/internals/sampling.md).
 """
 
 from __future__ import annotations
@@ -11,33 +13,23 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Literal
 
+from injector.block_profile.counted_call import UncountableError
+from injector.block_profile.instruction_counts import draw_instruction
 from injector.faults.apply import apply_fault
-from injector.faults.code_scope import within
-from injector.faults.eligibility import is_eligible
+from injector.faults.call_profile import CallProfile
 from injector.faults.record import record_of
 from injector.faults.stopped_thread import InjectionResult
-from injector.isa.host import decode
-from injector.isa.instruction import DecodeError
-from injector.kernel_study.anchor_search import AnchorSearch, TraceReply, TraceRequest
-from injector.kernel_study.checkpoints import BEGINNING, CheckpointRun, SamplePoint
-from injector.kernel_study.instruction_index import InstructionIndex
+from injector.kernel_study.checkpoints import CheckpointRun, SamplePoint
 from injector.kernel_study.remote_fork import RemoteForkError, RemoteForks
 from injector.kernel_study.subject import MARK, Subject
 from injector.tracing import elf, ptrace
 from injector.tracing.compiled_functions import CompiledFunctions
-from injector.tracing.process import (
-    CodeError,
-    MemoryMap,
-    Process,
-    ProcessIdentity,
-    VanishedError,
-    sleeps,
-)
+from injector.tracing.process import MemoryMap, Process, ProcessIdentity, VanishedError, sleeps
 from injector.tracing.ptrace import GoneError, StopReport, wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
@@ -89,122 +81,158 @@ class StudyRun(Strict):
     injection: InjectionRecord
 
 
-class StudyTask(Strict):
-    """What a worker is asked for: a part of the anchor ``search``, or the injections of a leg."""
+class CallLength(Strict):
+    """How many instructions a call executes: in the fault's scope, of these such as it can strike, and all.
 
-    search: TraceRequest | None = None
-    fault: FaultSpec | None = None
-    seed: int = 0
-    clock: InstructionIndex | None = None
+    ``all`` is not known of a call that can be counted in the scope only.
+    """
+
+    scope: int
+    eligible: int
+    all: int | None = None
+
+
+class StudyTask(Strict):
+    """What a worker is asked for: to draw injections by their numbers, or to make those of a leg."""
+
+    fault: FaultSpec
+    seed: int
+    draw: tuple[int, ...] = ()
     leg: tuple[SamplePoint, ...] = ()
 
 
 class StudyAnswer(Strict):
-    """One line of a worker: what it found, what came of a place (``refused``: its number), our own problem.
+    """One line of a worker: what was drawn, in the order of the call; what came of a place; our own problem.
 
     The last one to a task has the processor time that worker and copies have used so far.
     """
 
-    found: TraceReply | None = None
+    length: CallLength | None = None
+    drawn: tuple[SamplePoint, ...] = ()
     run: StudyRun | None = None
-    refused: int | None = None
     problem: str = ""
     cpu_s: float | None = None
 
 
 class SubjectInjector:
-    """Injects into copies of one subject, one after the other. Only in a process of one thread."""
+    """Injects into copies of one subject, one after the other. Only in a process of one thread.
+
+    ``root`` stands at the beginning of the call; ``forks`` makes copies of it.
+    """
 
     def __init__(self, kernel: str, subject: Subject, pid: int, tracees: TraceeGroup) -> None:
         """Take over the process that ``subject`` forked, which stands at the beginning of its call."""
-        self._kernel, self._subject, self._tracees = kernel, subject, tracees
-        self._root = tracees.threads[pid]
-        self._forks = RemoteForks(tracees)
-        self._inside: tuple[FaultSpec | None, Callable[[int], bool]] = (None, lambda _: True)
+        self._kernel, self._subject, self.tracees = kernel, subject, tracees
+        self.root = tracees.threads[pid]
+        self.forks = RemoteForks(tracees)
         # The same in all copies.
+        self._compiled = CompiledFunctions()
         self._places = elf.CodeLocations(
-            pid, MemoryMap(Path(f"/proc/{pid}/maps").read_text()), CompiledFunctions()
+            pid, MemoryMap(Path(f"/proc/{pid}/maps").read_text()), self._compiled
         )
-        self.anchor_search = AnchorSearch(tracees, self._forks, self._root, MARK)
+        self._profiled: tuple[FaultSpec, CallProfile] | None = None
         self._limit_s = _BEGIN_S
         took_s = sorted(self._golden_call_s() for _ in range(GOLDEN_CALLS))[GOLDEN_CALLS // 2]
         self._limit_s = HANG_TIMES * took_s + HANG_MARGIN_S
 
-    def run(
-        self, clock: InstructionIndex, leg: Sequence[SamplePoint], fault: FaultSpec, seed: int
-    ) -> Iterator[tuple[int, StudyRun | None]]:
-        """Inject into a copy at each of the places: number and what came of it, None where it was refused.
+    def draw(
+        self, fault: FaultSpec, seed: int, indices: Sequence[int]
+    ) -> tuple[CallLength, list[SamplePoint]]:
+        """Draw injections: how long the call is, and the instructions in the order in which it executes them.
 
-        Where somebody else kills or stops what is to be struck, the place is told of as not injected. If no
+        None are drawn if the fault can strike none.
+
+        :raises UncountableError, CheckpointError, RemoteForkError, GoneError: if we cannot.
+        """
+        profile = self._profile(fault)
+        stream = f"instruction {self._kernel}"
+        points = []
+        for index in indices:
+            draw = rng.generator(seed, stream, index)
+            drawn = draw_instruction(profile.eligible, lambda _: True, draw)
+            if drawn is not None:
+                points.append(SamplePoint(index=index, address=drawn.address, hit=drawn.hit))
+        length = CallLength(
+            scope=profile.counts.executed, eligible=profile.eligible.executed, all=self._thread_length()
+        )
+        return length, self._checkpoints(fault).in_order(points)
+
+    def run(self, leg: Sequence[SamplePoint], fault: FaultSpec, seed: int) -> Iterator[tuple[int, StudyRun]]:
+        """Inject into a copy at each point of a leg, which is in the call's order: number, what came of it.
+
+        Where somebody else kills or stops what is to be struck, the point is told of as not injected. If no
         copy could be made there, one goes through the call anew for the rest of the leg.
 
-        :raises InstructionIndexError, RemoteForkError: if we cannot.
+        :raises UncountableError, CheckpointError, RemoteForkError, GoneError: if we cannot.
         """
-        left = {place.index: place for place in leg}
+        left = list(leg)
         while left:
-            with closing(self._visit(clock, list(left.values()), fault, seed)) as runs:
+            with closing(self._visit(left, fault, seed)) as runs:
                 for index, run in runs:
-                    del left[index]
+                    left.pop(0)
                     yield index, run
 
     def _visit(
-        self, clock: InstructionIndex, leg: Sequence[SamplePoint], fault: FaultSpec, seed: int
-    ) -> Generator[tuple[int, StudyRun | None]]:
-        """Inject at each of the places, up to the first at which no copy can be made."""
-        with closing(CheckpointRun(self._tracees, self._forks, self._root, clock).visit(leg)) as places:
-            for place, there in places:
-                if there is None or not self._is_eligible(there, fault):
-                    yield place.index, None
-                    continue
-                aimed = fault.model_copy(update={"seed": place.index, "trigger": self._trigger(place, clock)})
+        self, leg: Sequence[SamplePoint], fault: FaultSpec, seed: int
+    ) -> Generator[tuple[int, StudyRun]]:
+        """Inject at each of the points, up to the first at which no copy can be made."""
+        with closing(self._checkpoints(fault).visit(tuple(leg))) as points:
+            for point, there in points:
+                aimed = fault.model_copy(update={"seed": point.index, "trigger": self._trigger(point)})
                 try:
-                    copy = self._forks.copy(there)
+                    copy = self.forks.copy(there)
                 except RemoteForkError:
-                    yield place.index, self._told(place, aimed, LOST, None)
+                    yield point.index, self._told(point, aimed, LOST, None)
                     return
-                yield place.index, self._inject(place, copy, aimed, seed)
+                yield point.index, self._inject(point, copy, aimed, seed)
 
-    def _is_eligible(self, there: Tracee, fault: FaultSpec) -> bool:
-        """Whether the fault can strike the instruction at which a thread stands."""
+    def _checkpoints(self, fault: FaultSpec) -> CheckpointRun:
+        leaders = self._profile(fault).counts.leaders
+        return CheckpointRun(self.tracees, self.forks, self.root, MARK, fault, leaders)
+
+    def _profile(self, fault: FaultSpec) -> CallProfile:
+        if self._profiled is None or self._profiled[0] != fault:
+            self._profiled = (fault, self._counted(fault))
+        return self._profiled[1]
+
+    def _counted(self, fault: FaultSpec) -> CallProfile:
+        copy = self.forks.copy(self.root)
         try:
-            address = ptrace.program_counter(there.tid)
-            with Process(ProcessIdentity.of(there.pid)) as process:
-                instruction = decode(process.read_code(address), address)
-        except (GoneError, VanishedError, CodeError):
-            return True  # it was killed: that is told of where no copy can be made
-        except DecodeError:
-            return False
-        return self._within(fault)(address) and is_eligible(fault, instruction)
+            with Process(ProcessIdentity.of(copy.pid)) as process:
+                return CallProfile(copy, process, fault, MARK, self._compiled)
+        finally:
+            self.forks.end(copy)
 
-    def _within(self, fault: FaultSpec) -> Callable[[int], bool]:
-        if fault != self._inside[0]:
-            with Process(ProcessIdentity.of(self._root.pid)) as process:
-                self._inside = (fault, within(fault, process))
-        return self._inside[1]
+    def _thread_length(self) -> int | None:
+        """How many instructions the call's thread executes in all code; None if that cannot be counted."""
+        try:
+            return self._counted(FaultSpec(target=self._kernel, scope="thread")).counts.executed
+        except UncountableError:
+            return None
 
-    def _inject(self, place: SamplePoint, copy: Tracee, aimed: FaultSpec, seed: int) -> StudyRun:
-        draw = rng.generator(seed, f"study {self._kernel}", place.index)
-        before = set(self._tracees.threads) - {copy.tid}
+    def _inject(self, point: SamplePoint, copy: Tracee, aimed: FaultSpec, seed: int) -> StudyRun:
+        draw = rng.generator(seed, f"study {self._kernel}", point.index)
+        before = set(self.tracees.threads) - {copy.tid}
         self._subject.forget()
         try:
             try:
                 with Process(ProcessIdentity.of(copy.pid)) as process:
-                    found = apply_fault(self._tracees, copy, process, aimed, draw)
+                    found = apply_fault(self.tracees, copy, process, aimed, draw)
             except VanishedError:
                 found = LOST
             if found is None:
                 found = InjectionResult("not_activated", "the place is a system call")
             end = self._finish(copy) if found.bits else None
         finally:
-            for one in [one for one in self._tracees.threads.values() if one.tid not in before]:
-                self._forks.end(one)  # it hangs, or what it has started does
-        return self._told(place, aimed, found, end)
+            for one in [one for one in self.tracees.threads.values() if one.tid not in before]:
+                self.forks.end(one)  # it hangs, or what it has started does
+        return self._told(point, aimed, found, end)
 
     def _finish(self, copy: Tracee) -> StopReport | None:
         """Let a copy run to its end: how it ended, None if it hangs."""
-        if copy.tid not in self._tracees.threads:
+        if copy.tid not in self.tracees.threads:
             return StopReport("gone", signal.SIGKILL)
-        self._tracees.resume(copy)
+        self.tracees.resume(copy)
         asleep = 0
         while True:
             report = ptrace.poll(copy.tid)
@@ -214,7 +242,7 @@ class SubjectInjector:
                     if asleep >= ASLEEP_LOOKS or _cpu_s(copy.pid) > self._limit_s:
                         return None
             elif report.kind == "gone":
-                del self._tracees.threads[copy.tid]
+                del self.tracees.threads[copy.tid]
                 return report
             elif report.kind in ("step", "timer"):
                 return StopReport("gone", signal.SIGTRAP)  # a trap of its own making
@@ -229,18 +257,18 @@ class SubjectInjector:
             if report.kind in ("new_thread", "new_process"):
                 tid = ptrace.started(copy.tid)
                 pid = copy.pid if report.kind == "new_thread" else tid
-                self._tracees.threads[tid] = Tracee(pid, tid)
+                self.tracees.threads[tid] = Tracee(pid, tid)
             deliver = report.kind == "signal" and report.signal != MARK
             ptrace.resume(copy.tid, report.signal if deliver else 0)
 
     def _told(
-        self, place: SamplePoint, fault: FaultSpec, found: InjectionResult, end: StopReport | None
+        self, point: SamplePoint, fault: FaultSpec, found: InjectionResult, end: StopReport | None
     ) -> StudyRun:
         result, cause = self._judge(fault, found, end)
         made = self._subject.made() if result == "sdc" else None
         return StudyRun(
             kernel=self._kernel,
-            index=place.index,
+            index=point.index,
             result=result,
             within_tolerance=made is not None and made.within_tolerance,
             deviation=None if made is None else made.deviation,
@@ -265,29 +293,20 @@ class SubjectInjector:
 
     def close(self) -> None:
         """Kill the subject's process and every copy."""
-        for one in list(self._tracees.threads.values()):
-            self._forks.end(one)
+        for one in list(self.tracees.threads.values()):
+            self.forks.end(one)
 
     # -- what is told of it ------------------------------------------------------------------------
 
-    def _trigger(self, place: SamplePoint, clock: InstructionIndex) -> Trigger:
-        if place.anchor == BEGINNING:
-            exact = not clock.anchors
-            site = Site(
-                precision="exact" if exact else "occurrence",
-                step=place.step if exact else None,
-                steps=place.step,
-            )
-        else:
-            where = self._places.at(clock.anchors[place.anchor].address)
-            site = Site(
-                precision="occurrence",
-                module=where.module,
-                build_id=where.build_id,
-                offset=where.offset,
-                hit=place.hit,
-                steps=place.step,
-            )
+    def _trigger(self, point: SamplePoint) -> Trigger:
+        where = self._places.at(point.address)
+        site = Site(
+            precision="exact",
+            module=where.module,
+            build_id=where.build_id,
+            offset=where.offset,
+            hit=point.hit,
+        )
         return Trigger(invocation=0, site=site)
 
     def _record(self, fault: FaultSpec, found: InjectionResult) -> InjectionRecord:
@@ -312,7 +331,7 @@ class SubjectInjector:
 
         :raises RuntimeError: if a copy without a fault does not make the golden output.
         """
-        copy = self._forks.copy(self._root)
+        copy = self.forks.copy(self.root)
         self._subject.forget()
         end, made = self._finish(copy), self._subject.made()
         if end is None or made.what != "golden":

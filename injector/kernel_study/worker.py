@@ -35,10 +35,11 @@ def main() -> None:
 
 
 def _answer(kernel: str, subject: Subject, pid: int, go: int) -> None:
-    from injector.kernel_study.function_counts import FunctionCountError  # noqa: PLC0415
-    from injector.kernel_study.instruction_index import InstructionIndexError  # noqa: PLC0415
+    from injector.block_profile.counted_call import UncountableError  # noqa: PLC0415
+    from injector.kernel_study.checkpoints import CheckpointError  # noqa: PLC0415
     from injector.kernel_study.remote_fork import RemoteForkError  # noqa: PLC0415
     from injector.kernel_study.study import StudyAnswer, StudyTask, subject_injector  # noqa: PLC0415
+    from injector.tracing.ptrace import GoneError  # noqa: PLC0415
 
     def say(answer: StudyAnswer) -> None:
         sys.stdout.write(answer.model_dump_json(by_alias=True, exclude_none=True) + "\n")
@@ -48,13 +49,13 @@ def _answer(kernel: str, subject: Subject, pid: int, go: int) -> None:
         with subject_injector(kernel, subject, pid, go) as injector:
             for line in sys.stdin:
                 task = StudyTask.model_validate_json(line)
-                if task.search is not None:
-                    say(StudyAnswer(found=injector.anchor_search.answer(task.search, f"clock {kernel}")))
-                elif task.clock is not None and task.fault is not None:
-                    for index, run in injector.run(task.clock, task.leg, task.fault, task.seed):
-                        say(StudyAnswer(run=run) if run is not None else StudyAnswer(refused=index))
+                if task.draw:
+                    length, drawn = injector.draw(task.fault, task.seed, task.draw)
+                    say(StudyAnswer(length=length, drawn=tuple(drawn)))
+                for _, run in injector.run(task.leg, task.fault, task.seed):
+                    say(StudyAnswer(run=run))
                 say(StudyAnswer(cpu_s=_cpu_s()))
-    except (FunctionCountError, InstructionIndexError, RemoteForkError) as error:
+    except (UncountableError, CheckpointError, RemoteForkError, GoneError) as error:
         say(StudyAnswer(problem=str(error)))
 
 

@@ -603,8 +603,8 @@ MUTANTS: list[Mutant] = [
         "tests/injector/block_profile/test_instruction_counts.py",
         (
             "sampling: only the last block's passes",
-            "passes[address] = passes.get(address, 0) + block.passes",
-            "passes[address] = block.passes",
+            "passes[address] = passes.get(address, 0) + often",
+            "passes[address] = often",
         ),
         (
             "sampling: addresses alike, not passes",
@@ -616,11 +616,66 @@ MUTANTS: list[Mutant] = [
             "1 + int(draw.integers(often))",
             "2 + int(draw.integers(often))",
         ),
-        ("sampling: a way one pass short", "target.hit - one.noted)", "target.hit - one.noted - 1)"),
+        (
+            "sampling: a way one pass short",
+            "int(passes[best]), target.hit - int(blocks.noted[best]))",
+            "int(passes[best]), target.hit - int(blocks.noted[best]) - 1)",
+        ),
+        (
+            "sampling: a way counts passes from the call's beginning",
+            "passes = blocks.passes - earlier",
+            "passes = blocks.passes",
+        ),
         (
             "sampling: a long way is taken",
-            "best.hit + best.rest < target.hit else None",
-            "best.hit + best.rest > 0 else None",
+            "or int(costs.min()) >= direct:",
+            "or int(costs.min()) <= 0:",
+        ),
+    ),
+    *_of(
+        "injector/block_profile/counted_call.py",
+        "tests/injector/block_profile/test_counted_call.py",
+        (
+            "sampling: the second stop at an address is counted from the call's beginning",
+            "after = left[0] - hit if left else 0",
+            "after = left[0] if left else 0",
+        ),
+    ),
+    *_of(
+        "injector/kernel_study/checkpoints.py",
+        "tests/injector/kernel_study/test_checkpoints.py",
+        (
+            "study: where the call begins is no pass",
+            "way.hit - (way.address == stood_at)",
+            "way.hit",
+        ),
+        (
+            "study: a way takes where it begins for a pass",
+            "stood_at = 0\n",
+            "stood_at = way.address\n",
+        ),
+        (
+            "study: repetitions are passes",
+            'instruction.text.startswith("rep") or not instruction.steppable',
+            "not instruction.steppable",
+        ),
+    ),
+    *_of(
+        "injector/faults/call_profile.py",
+        "tests/injector/kernel_study/test_study.py",
+        (
+            "study: what cannot be struck is drawn",
+            "return self.counts.only(self.is_eligible)",
+            "return self.counts",
+        ),
+    ),
+    *_of(
+        "injector/kernel_study/study.py",
+        "tests/injector/kernel_study/test_study.py",
+        (
+            "study: a draw depends on what else is drawn",
+            "draw = rng.generator(seed, stream, index)",
+            "draw = rng.generator(seed, stream, len(points))",
         ),
     ),
     *_of(

@@ -41,7 +41,7 @@ LIMIT_S = 300.0
 """A change that makes its tests hang for so long is noticed."""
 
 PLUGINS = ("cacheprovider", "schemathesis")
-OPTIONS = ("-x", "-q", "--tb=short", "--noconftest", *(f"-pno:{one}" for one in PLUGINS))
+OPTIONS = ("-x", "-q", "--tb=short", *(f"-pno:{one}" for one in PLUGINS))
 """Without what is not needed to run a quick test: to import it takes longer than the tests themselves."""
 
 ENOUGH = 0.95
@@ -83,6 +83,11 @@ class Tree:
         """Put the file back as it is in ``origin``."""
         (self.folder / mutant.path).write_text((origin / mutant.path).read_text())
 
+    def _without_fixtures(self, tests: Sequence[str]) -> tuple[str, ...]:
+        """What leaves out the shared fixtures, where no test asks for them by name."""
+        files = [(self.folder / test.partition("::")[0]).read_text() for test in tests]
+        return () if any("usefixtures" in text for text in files) else ("--noconftest",)
+
     def end(self) -> None:
         """Kill the tests that run, with all that they have started."""
         if self.running is not None and self.running.poll() is None:
@@ -106,7 +111,7 @@ class Tree:
             parent = os.getpid()
             process = self.running = stack.enter_context(
                 subprocess.Popen(
-                    [sys.executable, "-m", "pytest", *OPTIONS, *tests],
+                    [sys.executable, "-m", "pytest", *OPTIONS, *self._without_fixtures(tests), *tests],
                     cwd=self.folder,
                     env=environment,
                     stdout=subprocess.PIPE,

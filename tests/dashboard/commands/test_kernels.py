@@ -3,8 +3,7 @@
 import pytest
 
 from dashboard.analysis.kernel_study import divided, instruction_class, summarise
-from injector.kernel_study.instruction_index import InstructionIndex
-from injector.kernel_study.study import StudyResult, StudyRun
+from injector.kernel_study.study import CallLength, StudyResult, StudyRun
 from services.models.outcome import InjectionRecord
 
 
@@ -32,7 +31,7 @@ RUNS = [
 
 
 def test_what_was_not_injected_is_counted_apart() -> None:
-    found = summarise("pid", "m/s", RUNS, InstructionIndex(reach=9), 10.0, 5.0)
+    found = summarise("pid", "m/s", RUNS, CallLength(scope=90, eligible=80, all=100), 10.0, 5.0)
     assert (found.attempted, found.injected) == (6, 5)
     assert {name: one.count for name, one in found.shares.items()} == {
         "benign": 1,
@@ -46,7 +45,7 @@ def test_what_was_not_injected_is_counted_apart() -> None:
 
 
 def test_only_corruption_that_has_a_size_is_measured() -> None:
-    found = summarise("pid", "m/s", RUNS, InstructionIndex(reach=9), 10.0, 5.0)
+    found = summarise("pid", "m/s", RUNS, CallLength(scope=90, eligible=80, all=100), 10.0, 5.0)
     assert found.measured == 2
     assert found.deviations == pytest.approx((1.0, 1.45, 1.5))
 

@@ -195,8 +195,9 @@ def ways_are_those_of_steps(tmp_path: Path, kernel: str) -> None:
             hit = trace[: index + 1].count(address)
             drawn = DynamicInstruction(address, hit, trace.count(address))
             leaders = counts.leaders | {address}
-            with a_copy(one, own_code, leaders=leaders, stop=(address, hit)) as call:
-                way = shortest_way(call.run(MARK), drawn)
+            with a_copy(one, own_code, leaders=leaders, stops={address: [hit]}) as call:
+                assert call.to_next_stop(MARK) == (address, hit)
+                way = shortest_way(call.counts(), drawn)
             if way is not None:
                 passes = [at for at, other in enumerate(trace) if other == way.address]
                 begin = passes[way.hit - 1]
@@ -207,19 +208,30 @@ def ways_are_those_of_steps(tmp_path: Path, kernel: str) -> None:
         assert tried
 
 
-def test_a_call_that_ends_before_the_pass_is_told(tmp_path: Path) -> None:
-    in_small_process(a_pass_too_many, tmp_path, CALLS["recursion"])
+def test_a_call_stops_at_each_pass_that_is_asked_for_and_then_ends(tmp_path: Path) -> None:
+    in_small_process(stops_are_those_of_steps, tmp_path, CALLS["recursion"])
 
 
-def a_pass_too_many(tmp_path: Path, kernel: str) -> None:
+def stops_are_those_of_steps(tmp_path: Path, kernel: str) -> None:
     with standing(tmp_path, kernel) as one:
-        counts = counts_of(one, own_code)
-        address, passes = int(counts.addresses[0]), int(counts.passes[0])
-        with (
-            a_copy(one, own_code, leaders=counts.leaders, stop=(address, passes + 1)) as call,
-            pytest.raises(UncountableError, match="ended before"),
-        ):
-            call.run(MARK)
+        counts, inside = counts_of(one, own_code), is_counted(one, own_code)
+        trace = [address for address, _ in groupby(one.trace()) if inside(address)]
+        hits: Counter[int] = Counter()
+        wanted = []
+        for number, address in enumerate(trace):
+            hits[address] += 1
+            if number % 97 == 0 or number == len(trace) - 1:
+                wanted.append((address, hits[address]))
+        stops: dict[int, list[int]] = {}
+        for address, hit in wanted:
+            stops.setdefault(address, []).append(hit)
+        # A pass that never comes does not hinder the others.
+        stops[trace[0]].append(hits[trace[0]] + 1)
+        with a_copy(one, own_code, leaders=counts.leaders | stops.keys(), stops=stops) as call:
+            assert [call.to_next_stop(MARK) for _ in wanted] == wanted
+            assert call.to_next_stop(MARK) is None
+            again = InstructionCounts.of(call.counts())
+        assert again.passes.tolist() == counts.passes.tolist()
 
 
 def test_a_copy_that_dies_or_hangs_is_told(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare
 
-from injector.block_profile.counted_call import CountedBlock
+from injector.block_profile.counted_call import BlockCounts
 from injector.block_profile.instruction_counts import (
     DynamicInstruction,
     InstructionCounts,
@@ -17,12 +17,15 @@ from injector.block_profile.instruction_counts import (
 
 pytestmark = pytest.mark.unit
 
-BLOCKS = [
-    CountedBlock((16, 18, 24), 7, 0),
-    CountedBlock((40, 44), 3, 0),
-    CountedBlock((18, 24), 5, 0),
-    CountedBlock((60,), 0, 0),
-]
+
+def blocks(*those: tuple[tuple[int, ...], int, int]) -> BlockCounts:
+    """Each by its instructions, its passes, and what it noted."""
+    leaders = np.array([instructions[0] for instructions, _, _ in those], np.uint64)
+    passes, noted = (np.array([one[at] for one in those], np.int64) for at in (1, 2))
+    return BlockCounts(tuple(instructions for instructions, _, _ in those), leaders, passes, noted)
+
+
+BLOCKS = blocks(((16, 18, 24), 7, 0), ((40, 44), 3, 0), ((18, 24), 5, 0), ((60,), 0, 0))
 PASSES = {16: 7, 18: 12, 24: 12, 40: 3, 44: 3}
 
 
@@ -49,13 +52,29 @@ def test_eligible_instructions_are_drawn_alike_and_no_others(eligible: set[int])
 
 def test_of_nothing_eligible_nothing_is_drawn() -> None:
     assert draw_instruction(InstructionCounts.of(BLOCKS), lambda _: False, np.random.default_rng(1)) is None
-    assert draw_instruction(InstructionCounts.of([]), lambda _: True, np.random.default_rng(1)) is None
+    assert draw_instruction(InstructionCounts.of(blocks()), lambda _: True, np.random.default_rng(1)) is None
+
+
+def test_of_what_is_eligible_alone_the_same_is_drawn() -> None:
+    counts = InstructionCounts.of(BLOCKS).only({18, 40}.__contains__)
+    assert dict(zip(counts.addresses.tolist(), counts.passes.tolist(), strict=True)) == {18: 12, 40: 3}
+    assert counts.leaders == {16, 40, 18}
 
 
 def test_the_shortest_way_has_the_fewest_passes_in_all() -> None:
     target = DynamicInstruction(address=16, hit=900, passes=1000)
-    late, rare, never = CountedBlock((40,), 50, 890), CountedBlock((60,), 2, 600), CountedBlock((70,), 0, 0)
-    assert shortest_way([CountedBlock((16,), 900, 899), late, rare, never], target) == Way(40, 50, 10)
-    assert shortest_way([rare], target) == Way(60, 2, 300)
-    assert shortest_way([CountedBlock((40,), 880, 870)], target) is None
-    assert shortest_way([], target) is None
+    itself, late, rare, never = ((16,), 900, 899), ((40,), 50, 890), ((60,), 2, 600), ((70,), 0, 0)
+    assert shortest_way(blocks(itself, late, rare, never), target) == Way(40, 50, 10)
+    assert shortest_way(blocks(rare), target) == Way(60, 2, 300)
+    assert shortest_way(blocks(((40,), 880, 870)), target) is None
+    assert shortest_way(blocks(), target) is None
+
+
+def test_the_way_from_a_place_counts_passes_from_there() -> None:
+    target = DynamicInstruction(address=16, hit=900, passes=1000)
+    before = blocks(((16,), 880, 0), ((40,), 45, 0), ((50,), 9, 3))
+    after = blocks(((16,), 900, 899), ((40,), 50, 890), ((50,), 9, 899), ((60,), 1, 896))
+    assert shortest_way(after, target, before) == Way(60, 1, 4)
+    # Counting the target's own twenty passes is shorter than 5 and 16 others.
+    dearer = blocks(((16,), 900, 899), ((40,), 50, 884), ((50,), 9, 899))
+    assert shortest_way(dearer, target, before) is None

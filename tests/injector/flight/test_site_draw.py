@@ -112,7 +112,7 @@ def test_a_call_that_cannot_be_counted_is_struck_by_thread_time(monkeypatch: pyt
         def __init__(self, *_: object) -> None:
             raise UncountableError("no")
 
-    monkeypatch.setattr(site_draw, "CountedCall", Uncountable)
+    monkeypatch.setattr(site_draw, "CallProfile", Uncountable)
     with caller(MANY) as one:
         trigger = draw_site(one.probes, OWN_CODE, Trigger(), generator(0, "site"))
     assert trigger.site is None

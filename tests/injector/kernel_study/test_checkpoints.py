@@ -1,111 +1,118 @@
-"""Places are drawn uniformly over a call's instructions, by exhaustive single steps, and reached again."""
+"""A copy that goes through a call stops at each drawn instruction, as single steps number them."""
 
-from collections import Counter
-from collections.abc import Sequence
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 
-import numpy as np
 import pytest
-from scipy.stats import chisquare
 
-from injector.kernel_study.checkpoints import BEGINNING, CheckpointRun, SamplePoint, draw, legs
-from injector.kernel_study.instruction_index import Anchor, InstructionIndex, TraceSample, reach_of
+from injector.faults.call_profile import CallProfile
+from injector.kernel_study.checkpoints import CheckpointError, CheckpointRun, SamplePoint
+from injector.kernel_study.subject import MARK
 from injector.tracing import ptrace
-from services.runtime.rng import generator
-from tests.injector.faults.test_drawn_sites import KERNELS
+from injector.tracing.compiled_functions import CompiledFunctions
+from injector.tracing.process import Process, ProcessIdentity
+from services.models.fault_spec import FaultSpec
+from tests.injector.block_profile.test_counted_call import CALLS
 from tests.injector.forked_calls import Standing, standing
+from tests.injector.small_process import in_small_process
 
 pytestmark = pytest.mark.usefixtures("may_inject")
 
-PLACES = 600
-REACH = 12
+FAULT = FaultSpec(target="pid", scope="thread")
+POINTS = 40
+TWICE = 10**6
 
 
-def clock_of(trace: Sequence[int]) -> InstructionIndex:
-    """Anchors as a survey chooses them, but of the whole call."""
-    parts = [trace[at : at + 100] for at in range(0, len(trace), 100)]
-    sample = TraceSample(parts, [np.ones(len(part)) for part in parts])
-    repeating = {one for one, other in pairwise(trace) if one == other}
-    gaps = sample.gaps([one for one in sample.anchors(REACH) if one not in repeating])
-    anchors = [
-        Anchor(address=one, passes=trace.count(one), reach=reach_of(*both, REACH))
-        for one, both in gaps.items()
-    ]
-    return InstructionIndex(reach=REACH, anchors=tuple(anchors))
+def run_of(one: Standing) -> CheckpointRun:
+    copy = one.forks.copy(one.root)
+    with Process(ProcessIdentity.of(copy.pid)) as process:
+        leaders = CallProfile(copy, process, FAULT, MARK, CompiledFunctions()).counts.leaders
+    one.forks.end(copy)
+    return CheckpointRun(one.tracees, one.forks, one.root, MARK, FAULT, leaders)
 
 
-def numbered(trace: Sequence[int], clock: InstructionIndex) -> dict[tuple[int, int, int], int]:
-    """Each instruction's number in the call by its place: anchor, hit and step."""
-    by_address = {one.address: number for number, one in enumerate(clock.anchors)}
-    hits: Counter[int] = Counter()
-    found, anchor, hit, step = {}, BEGINNING, 1, 0
-    for number, address in enumerate(trace):
-        if address in by_address:
-            anchor = by_address[address]
-            hits[anchor] += 1
-            hit, step = hits[anchor], 0
-        if step < (clock.reach if anchor == BEGINNING else clock.anchors[anchor].reach):
-            found[anchor, hit if anchor != BEGINNING else 1, step] = number
-        step += 1
-    return found
+def executed(one: Standing) -> list[int]:
+    """The call's instructions, a repeated one once; the mark comes before the last that is seen."""
+    return [address for address, _ in groupby(one.trace())][:-1]
 
 
-def visited(one: Standing, clock: InstructionIndex, places: Sequence[SamplePoint]) -> dict[int, int | None]:
-    """Where the program stands at each place; None: it was refused."""
-    run = CheckpointRun(one.tracees, one.forks, one.root, clock)
-    return {
-        place.index: None if thread is None else ptrace.program_counter(thread.tid)
-        for leg in legs(places, 100)
-        for place, thread in run.visit(leg)
-    }
+def points_of(trace: list[int], indices: list[int]) -> list[SamplePoint]:
+    return [SamplePoint(index=at, address=trace[at], hit=trace[: at + 1].count(trace[at])) for at in indices]
 
 
-@pytest.mark.parametrize("precision", ["exact", "occurrence"])
-@pytest.mark.parametrize("name", KERNELS)
-def test_places_are_distributed_as_single_steps_count_them(tmp_path: Path, name: str, precision: str) -> None:
-    with standing(tmp_path, KERNELS[name]) as one:
-        trace = one.trace()
-        assert 100 < len(trace) < 3000
-        assert one.trace() == trace
-        clock = InstructionIndex(reach=len(trace)) if precision == "exact" else clock_of(trace)
-        places = [draw(clock, index, generator(1, f"sweep {name}", index)) for index in range(PLACES)]
-        found = visited(one, clock, places)
-    assert set(found) == set(range(PLACES))
-    number = numbered(trace, clock)
-    for place in places:
-        expected = number.get((place.anchor, place.hit, place.step))
-        assert found[place.index] == (None if expected is None else trace[expected])
-    # In tenths of the instructions that can be drawn, in their order: all alike.
-    order = {at: rank for rank, at in enumerate(sorted(number.values()))}
-    ranks = [
-        order[number[place.anchor, place.hit, place.step]]
-        for place in places
-        if found[place.index] is not None
-    ]
-    tenths = Counter(rank * 10 // len(order) for rank in ranks)
-    sizes = Counter(rank * 10 // len(order) for rank in range(len(order)))
-    counts = [tenths[at] for at in range(10)]
-    assert len(ranks) > 100
-    assert chisquare(counts, [len(ranks) * sizes[at] / len(order) for at in range(10)]).pvalue > 0.01
-    # And by address, as often as single steps count them.
-    executed = Counter(trace[at] for at in number.values())
-    drawn = Counter(trace[sorted(number.values())[rank]] for rank in ranks)
-    often = {at: len(ranks) * times / len(order) for at, times in executed.items()}
-    often = {at: times for at, times in often.items() if times >= 5}
-    assert len(often) > 5
-    rest = len(ranks) - sum(often.values())
-    seen = [drawn[at] for at in often]
-    extra = ([len(ranks) - sum(seen)], [rest]) if rest > 1 else ([], [])
-    scale = sum(seen) / sum(often.values()) if not extra[0] else 1.0
-    expected_counts = [times * scale for times in often.values()]
-    assert chisquare([*seen, *extra[0]], [*expected_counts, *extra[1]]).pvalue > 0.01
+@pytest.mark.parametrize(
+    "name", ["recursion", "a switch", "flags that are carried on", "a jump over many calls"]
+)
+def test_each_point_is_met_where_single_steps_number_it(tmp_path: Path, name: str) -> None:
+    in_small_process(points_are_those_of_steps, tmp_path, CALLS[name])
 
 
-def test_a_short_call_is_covered_whole_and_a_long_one_as_far_as_is_told(tmp_path: Path) -> None:
-    with standing(tmp_path, KERNELS["memory"]) as one:
-        trace = one.trace()
-    clock = clock_of(trace)
-    covered = len(numbered(trace, clock)) / len(trace)
-    assert 0.9 < covered <= 1.0
-    assert len(numbered(trace, InstructionIndex(reach=len(trace)))) == len(trace)
+@pytest.mark.soak
+@pytest.mark.parametrize("name", ["pointers to functions", "calls of the kernel", "libraries"])
+def test_each_point_of_libraries_is_met_where_single_steps_number_it(tmp_path: Path, name: str) -> None:
+    in_small_process(points_are_those_of_steps, tmp_path, CALLS[name])
+
+
+def points_are_those_of_steps(tmp_path: Path, kernel: str) -> None:
+    def number(point: SamplePoint) -> int:
+        return point.index if point.index < TWICE else 1
+
+    with standing(tmp_path, kernel) as one:
+        trace, run = executed(one), run_of(one)
+        # The first and the last, neighbours, one of them twice, and some in between.
+        indices = sorted(
+            {0, 1, 2, len(trace) - 2, len(trace) - 1, *range(3, len(trace), len(trace) // POINTS)}
+        )
+        points = [*points_of(trace, indices), SamplePoint(index=TWICE, address=trace[1], hit=1)]
+        leg = run.in_order(list(reversed(points)))
+        assert [point.at for point in leg] == [point.at for point in sorted(points, key=number)]
+        for point, thread in run.visit(leg):
+            assert ptrace.program_counter(thread.tid) == point.address
+            copy = one.forks.copy(thread)
+            left = trace[number(point) :]
+            rest = [address for address, _ in groupby(one.tracees.trace(copy, 10**6))]
+            one.forks.end(copy)
+            # A copy that is made just before the mark sends it to who was copied, and goes on.
+            assert rest[: len(left)] == left
+
+
+def test_a_repeated_instruction_is_gone_through_as_one(tmp_path: Path) -> None:
+    in_small_process(repetitions_count_once, tmp_path, CALLS["loops of one instruction"])
+
+
+def repetitions_count_once(tmp_path: Path, kernel: str) -> None:
+    """A way that begins at a repeated instruction does not take its repetitions for passes."""
+    with standing(tmp_path, kernel) as one:
+        run = run_of(one)
+        steps = one.trace()[:-1]
+        repeated = next(at for at, other in pairwise(steps) if at == other and is_rep(one, at))
+        after = steps[len(steps) - 1 - steps[::-1].index(repeated) + 1]
+        passes = [address for address, _ in groupby(steps)].count(repeated)
+        leg = run.in_order(
+            [SamplePoint(index=hit, address=repeated, hit=hit) for hit in range(1, passes + 1)]
+            + [SamplePoint(index=0, address=after, hit=1)]
+        )
+        met = [
+            point.at
+            for point, thread in run.visit(leg)
+            if ptrace.program_counter(thread.tid) == point.address
+        ]
+        assert met == [point.at for point in leg]
+
+
+def is_rep(one: Standing, address: int) -> bool:
+    with Process(ProcessIdentity.of(one.root.pid)) as process:
+        return process.read_memory(address, 1) in (b"\xf2", b"\xf3")
+
+
+def test_a_pass_that_never_comes_is_told(tmp_path: Path) -> None:
+    in_small_process(a_pass_too_many, tmp_path, CALLS["recursion"])
+
+
+def a_pass_too_many(tmp_path: Path, kernel: str) -> None:
+    with standing(tmp_path, kernel) as one:
+        trace, run = executed(one), run_of(one)
+        (point,) = points_of(trace, [len(trace) // 2])
+        missed = point.model_copy(update={"hit": trace.count(point.address) + 1})
+        with pytest.raises(CheckpointError, match="ended before"):
+            run.in_order([point, missed])

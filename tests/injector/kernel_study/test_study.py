@@ -4,14 +4,19 @@ import faulthandler
 import gc
 import os
 import signal
+from collections import Counter
 from collections.abc import Iterator
+from itertools import groupby
 
 import pytest
+from scipy.stats import chisquare
 
-from injector.kernel_study.checkpoints import BEGINNING, SamplePoint
-from injector.kernel_study.instruction_index import InstructionIndex
+from injector.faults.eligibility import is_eligible
+from injector.isa.host import decode
+from injector.kernel_study.checkpoints import SamplePoint
 from injector.kernel_study.study import LOST, StudyRun, SubjectInjector, subject_injector
 from injector.kernel_study.subject import Subject
+from injector.tracing.process import Process, ProcessIdentity
 from services.kernels import KERNELS
 from services.models.fault_spec import FaultSpec
 from tests.conftest import descendants, wait_until
@@ -20,6 +25,7 @@ from tests.injector.programs import state
 pytestmark = pytest.mark.usefixtures("may_inject")
 
 FAULT = FaultSpec(target="pid", scope="thread")
+DRAWS, PARTS = 4000, 50
 
 
 @pytest.fixture
@@ -40,39 +46,63 @@ def injector() -> Iterator[SubjectInjector]:
             faulthandler.enable()
 
 
-def places(*steps: int) -> list[SamplePoint]:
-    return [
-        SamplePoint(index=number, anchor=BEGINNING, hit=1, step=step) for number, step in enumerate(steps)
-    ]
+def struck(injector: SubjectInjector, leg: list[SamplePoint]) -> dict[int, StudyRun]:
+    return dict(injector.run(leg, FAULT, 8))
 
 
-def struck(
-    injector: SubjectInjector, clock: InstructionIndex, leg: list[SamplePoint]
-) -> dict[int, StudyRun | None]:
-    return dict(injector.run(clock, leg, FAULT, 8))
-
-
-def told(run: StudyRun | None) -> tuple[str, ...]:
-    """What came of it, nothing where the place was refused; values there can be the number of a thread."""
-    if run is None:
-        return ()
+def told(run: StudyRun) -> tuple[str, ...]:
+    """What came of it; values there can be the number of a thread."""
     return run.result, run.cause, run.injection.status, run.injection.instruction
 
 
+def test_each_eligible_instruction_is_drawn_as_often_as_it_is_executed(injector: SubjectInjector) -> None:
+    """Against the call in single steps, in fiftieths in the order of addresses."""
+    length, points = injector.draw(FAULT, 1, range(DRAWS))
+    assert [point.index for point in points] != sorted(point.index for point in points)
+    drawn = Counter(point.address for point in points)
+    passes = Counter(address for address, _ in groupby(stepped(injector)))
+    assert drawn.total() == DRAWS
+    assert set(drawn) <= set(passes)
+    assert all(1 <= point.hit <= passes[point.address] for point in points)
+    assert length.all is not None
+    assert length.eligible <= length.scope <= length.all
+    with Process(ProcessIdentity.of(injector.root.pid)) as process:
+        eligible = {
+            address: passes[address]
+            for address in sorted(passes)
+            if is_eligible(FAULT, decode(process.read_code(address), address))
+        }
+    assert sum(eligible.values()) == length.eligible
+    often, expected, at = [0], [0.0], 0
+    for address, count in eligible.items():
+        often[-1] += drawn[address]
+        expected[-1] += DRAWS * count / length.eligible
+        at += count
+        if expected[-1] >= DRAWS / PARTS:
+            often.append(0)
+            expected.append(0.0)
+    often[-2:], expected[-2:] = [sum(often[-2:])], [sum(expected[-2:])]
+    assert len(often) > 20
+    assert chisquare(often, expected).pvalue > 0.01
+
+
+def test_the_same_numbers_draw_the_same_whatever_else_is_drawn(injector: SubjectInjector) -> None:
+    _, every = injector.draw(FAULT, 3, range(12))
+    _, some = injector.draw(FAULT, 3, [9, 4])
+    assert sorted(point.index for point in some) == [4, 9]
+    assert [point for point in every if point.index in (4, 9)] == some
+    _, others = injector.draw(FAULT, 4, range(12))
+    assert {point.at for point in others} != {point.at for point in every}
+
+
 @pytest.mark.soak
-def test_the_last_places_of_a_call_are_struck(injector: SubjectInjector) -> None:
-    """The mark of the call's end is under way to the very last one."""
-    trace, whole = injector.anchor_search.begin()
-    assert whole
-    leg = places(*range(len(trace) - 8, len(trace)), len(trace) - 1)
-    runs = struck(injector, InstructionIndex(reach=len(trace)), leg)
-    assert sorted(runs) == [place.index for place in leg]
-    last = [runs[index] for index in (7, 8)]
-    assert [run is not None and run.injection.status for run in last] == ["injected", "injected"]
-    # What is struck at a place does not depend on what else is struck in the call.
-    for place in leg:
-        (alone,) = struck(injector, InstructionIndex(reach=len(trace)), [place]).values()
-        assert told(alone) == told(runs[place.index])
+def test_what_is_struck_at_a_place_depends_on_nothing_else(injector: SubjectInjector) -> None:
+    _, leg = injector.draw(FAULT, 2, range(40))
+    together = struck(injector, leg)
+    assert sorted(together) == list(range(40))
+    for point in leg[::5]:
+        (alone,) = struck(injector, [point]).values()
+        assert told(alone) == told(together[point.index])
 
 
 @pytest.mark.soak
@@ -81,12 +111,13 @@ def test_a_sample_that_is_lost_is_counted_and_the_others_are_made(
     injector: SubjectInjector, number: signal.Signals, after: int
 ) -> None:
     """Lost where the next copy is to be made, or on the way there."""
-    clock, leg = InstructionIndex(reach=9000), places(10, 500, 500, 7000, 8000)
-    alone = struck(injector, clock, leg)
+    _, drawn = injector.draw(FAULT, 5, range(4))
+    places = [drawn[0], drawn[1], drawn[1], drawn[2], drawn[3]]
+    leg = [point.model_copy(update={"index": at}) for at, point in enumerate(places)]
+    alone = struck(injector, leg)
     others = set(descendants(os.getpid()))
     found = {}
-    runs = injector.run(clock, leg, FAULT, 8)
-    for index, run in runs:
+    for index, run in injector.run(leg, FAULT, 8):
         found[index] = run
         if index == after:  # who goes through the call stands at the place
             (walker,) = set(descendants(os.getpid())) - others
@@ -94,7 +125,15 @@ def test_a_sample_that_is_lost_is_counted_and_the_others_are_made(
             if number == signal.SIGKILL:
                 wait_until(lambda pid=walker: state(pid) in "Z")  # type: ignore[misc]
     lost = found.pop(after + 1)
-    assert lost is not None
     assert (lost.result, lost.cause) == ("not_injected", LOST.reason)
     assert found == {index: run for index, run in alone.items() if index != after + 1}
     assert set(descendants(os.getpid())) == others
+
+
+def stepped(injector: SubjectInjector) -> list[int]:
+    """The call in single steps; the mark comes before the last that is seen."""
+    tracees, forks = injector.tracees, injector.forks
+    copy = forks.copy(injector.root)
+    found = tracees.trace(copy, 10**6)[:-1]
+    forks.end(copy)
+    return found
