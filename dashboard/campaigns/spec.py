@@ -305,7 +305,7 @@ def _parsed(text: str, path: Path) -> Any:
 
 
 def _with_files(fields: Any) -> Any:
-    """What a mission, an arm or the worlds name by file, put in their place."""
+    """What a mission, an arm, a fault or the worlds name by file, put in their place."""
     if not isinstance(fields, dict):
         return fields
     fields = dict(fields)
@@ -318,6 +318,9 @@ def _with_files(fields: Any) -> Any:
             else arm
             for arm in fields["arms"]
         ]
+    for name in ("arms", "faults"):
+        if isinstance(fields.get(name), list):
+            fields[name] = [inlined(one) if isinstance(one, dict) else one for one in fields[name]]
     if isinstance(fields.get("worlds"), list):
         fields["worlds"] = [inlined({"world": world})["world"] for world in fields["worlds"]]
     return fields

@@ -8,6 +8,7 @@ import click
 
 from dashboard.campaigns.store.queries import default_folder
 from deploy.config.check import BadSpecError
+from deploy.config.definitions import inlined
 from services.models.fault_spec import FaultSpec
 
 as_json = click.option("--json", "as_json", is_flag=True, help="One JSON object per line on standard output.")
@@ -45,9 +46,9 @@ def parse_fault(text: str, seed: int, over: str) -> FaultSpec:
 
 
 def fault_fields(text: str) -> dict[str, object]:
-    """The fields in ``NAME=VALUE[,NAME=VALUE...]``, of which there may be none.
+    """The fields in ``NAME=VALUE[,NAME=VALUE...]``, of which there may be none; a histogram is a file's.
 
-    :raises BadSpecError: if it has not the form.
+    :raises BadSpecError: if it has not the form, or the file cannot be read or is malformed.
     """
     fields: dict[str, object] = {}
     for setting in text.split(",") if text else ():
@@ -61,7 +62,7 @@ def fault_fields(text: str) -> dict[str, object]:
             raise BadSpecError(message)
         words = [_number(word) for word in value.split("+")]
         fields[name] = words if name in _LISTS else _number(value)
-    return fields
+    return dict(inlined({"fault": fields})["fault"])
 
 
 def _number(word: str) -> int | float | str:

@@ -1,4 +1,4 @@
-"""Definitions of one's own: worlds, airframes and platforms read from TOML files into a specification."""
+"""Definitions of one's own: worlds, airframes and more, read from TOML files into a specification."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from deploy.config.check import BadSpecError, digest_of, one_line
 from detector.schemes.model_files import read_model
 from detector.schemes.registry import load_detector
+from services.models.fault_spec import MaskHistogram
 from services.models.mission import MissionSpec
 
 _LONGEST_FIRST_LINE = 256
@@ -35,7 +36,7 @@ def read_toml(path: str) -> dict[str, Any]:
 
 
 def inlined(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """``fields`` of a mission with the content of a file where one is named.
+    """``fields`` of a mission, its ``fault`` among them, with the content of a file where one is named.
 
     A flight then depends on its specification alone, wherever that is read again.
 
@@ -50,12 +51,24 @@ def _inlined(field: str, value: Any) -> Any:
         return _content(field, value)
     if field == "stack" and isinstance(value, str):
         return own_stack(Path(value))
+    if field == "fault" and isinstance(value, dict) and isinstance(value.get("histogram"), str):
+        return {**value, "histogram": _histogram(value["histogram"])}
     if field == "detector" and isinstance(value, dict) and isinstance(value.get("model"), str):
         path = Path(value["model"])
         # Loaded as in flight, so that an error names the file.
         load_detector(str(value.get("scheme")), path)
         return {**value, "model": read_model(path).model_dump()}
     return value
+
+
+def _histogram(path: str) -> dict[str, Any]:
+    given = read_toml(path)
+    try:
+        MaskHistogram.model_validate(given)
+    except ValidationError as error:
+        message = f"{path}: {one_line(error)}"
+        raise BadSpecError(message) from error
+    return given
 
 
 def own_stack(file: Path) -> dict[str, Any]:

@@ -35,7 +35,7 @@ def is_eligible(fault: FaultSpec, instruction: Instruction) -> bool:
     if not instruction.steppable:
         return False
     if fault.model == "opcode":
-        return True
+        return bool(groups(fault, 8 * len(instruction.code)))
     if fault.model == "memory":
         return bool(eligible_memory(fault, instruction))
     return bool(eligible_registers(fault, instruction))

@@ -61,11 +61,13 @@ def require(fault: FaultSpec, host: Architecture = HOST) -> None:
     if wanted != "any" and wanted not in present:
         message = f"register class {wanted} absent on this CPU: choose of {', '.join(sorted(present))}"
         raise AbsentError(message)
-    if wanted == "flags" and fault.bits > len(host.flags):
-        message = f"bits: there are {len(host.flags)} status flags on this CPU, not {fault.bits}"
+    given = "bits" if fault.histogram is None else "histogram"
+    if wanted == "flags" and fault.most_bits > len(host.flags):
+        message = f"{given}: there are {len(host.flags)} status flags on this CPU, not {fault.most_bits}"
         raise AbsentError(message)
-    unknown = set(fault.bit_numbers or ()) - set(host.flags)
+    unknown = fault.named_bits - set(host.flags)
     if wanted == "flags" and unknown:
         flags = ", ".join(map(str, host.flags))
-        message = f"bit_numbers: bit {min(unknown)} is no status flag on this CPU: choose of {flags}"
+        given = "bit_numbers" if fault.histogram is None else "histogram"
+        message = f"{given}: bit {min(unknown)} is no status flag on this CPU: choose of {flags}"
         raise AbsentError(message)

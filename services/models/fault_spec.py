@@ -6,10 +6,11 @@ Names of kernels, states, sensors and motors are checked against the tables that
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Literal, get_args
+import math
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Literal, get_args
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from services.models.base import Strict
 
@@ -20,6 +21,77 @@ FaultModel = Literal["bitflip", "stuck_at", "opcode", "memory", "none"] | Equipm
 
 SENSORS = ("depth", "odometry", "imu")
 MOTORS = ("motor0", "motor1", "motor2", "motor3")
+
+MaskKind = Literal["bits", "uniform", "byte", "word", "histogram"]
+
+_Probability = Annotated[float, Field(ge=0, le=1)]
+_Count = Annotated[int, Field(ge=1, le=512)]
+_Position = Annotated[int, Field(ge=0, lt=512)]
+_Mask = Annotated[str, Field(pattern=r"^0x0*[1-9a-fA-F][0-9a-fA-F]{0,127}$")]
+_ROUNDING = 1e-6
+
+
+class MaskHistogram(Strict):
+    """The probabilities of how many bits flip and of which, as they were measured: a TOML file's content.
+
+    ``bits`` has those of each number of bits (left out: one bit). ``positions`` has those of each bit (left
+    out: all alike); of several bits, each further one is drawn from those left, in the same proportions.
+    ``masks`` has, in the place of both, those of whole masks in hexadecimal. Each table sums to 1.
+    """
+
+    bits: dict[_Count, _Probability] = Field(default={}, description="number of flipped bits: probability")
+    positions: dict[_Position, _Probability] = Field(default={}, description="number of a bit: probability")
+    masks: dict[_Mask, _Probability] = Field(default={}, description="mask, such as 0x81: probability")
+
+    @field_validator("bits", "positions")
+    @classmethod
+    def _in_order(cls, table: dict[int, float]) -> dict[int, float]:
+        """The same content draws the same, in whatever order it was written."""
+        return dict(sorted(table.items()))
+
+    @field_validator("masks")
+    @classmethod
+    def _masks_in_order(cls, table: dict[str, float]) -> dict[str, float]:
+        return dict(sorted(table.items(), key=lambda one: (int(one[0], 16), one[0])))
+
+    @model_validator(mode="after")
+    def _refuse_nonsense(self) -> MaskHistogram:
+        problem = next(self._problems(), None)
+        if problem is not None:
+            raise ValueError(problem)
+        return self
+
+    def _problems(self) -> Iterator[str]:
+        if not (self.bits or self.positions or self.masks):
+            yield "a histogram has a table bits, positions or masks"
+        if self.masks and (self.bits or self.positions):
+            yield "masks say how many bits and which: leave out bits and positions"
+        for name, table in self._tables():
+            total = math.fsum(table.values())
+            if table and abs(total - 1) > _ROUNDING:
+                yield f"{name} sums to {total:.9g}, not to 1: divide each by the sum"
+        if self.positions and self.most_bits > len(self.named_bits):
+            yield f"bits: {self.most_bits} of {len(self.named_bits)} positions cannot flip"
+
+    def _tables(self) -> Iterator[tuple[str, Mapping[int, float] | Mapping[str, float]]]:
+        yield "bits", self.bits
+        yield "positions", self.positions
+        yield "masks", self.masks
+
+    @property
+    def most_bits(self) -> int:
+        """The largest number of bits that may flip at once."""
+        of_masks = [int(mask, 16).bit_count() for mask, part in self.masks.items() if part > 0]
+        return max([*of_masks, *(count for count, part in self.bits.items() if part > 0)], default=1)
+
+    @property
+    def named_bits(self) -> frozenset[int]:
+        """The numbers of the bits that may flip; empty if that is any."""
+        union = 0
+        for mask, part in self.masks.items():
+            union |= int(mask, 16) if part > 0 else 0
+        by_mask = (bit for bit in range(union.bit_length()) if union >> bit & 1)
+        return frozenset((*by_mask, *(position for position, part in self.positions.items() if part > 0)))
 
 
 class FaultSpec(Strict):
@@ -39,6 +111,10 @@ class FaultSpec(Strict):
     ``intermittent``, each message with ``probability``; ``permanent``, each message in the same bits;
     ``rate``, as a Poisson process of ``rate_hz`` in virtual time, each upset in the next message.
 
+    ``mask`` says which bits are drawn: ``bits`` distinct ones; with ``uniform`` every non-zero mask of what
+    is accessed or of the ``field`` alike; with ``byte`` and ``word`` every non-zero mask of one aligned byte
+    or 32-bit word alike; or as a ``histogram`` says.
+
     Models: ``bitflip`` inverts bits of a register; ``stuck_at`` holds them at ``stuck_value`` for
     ``stuck_instructions``; ``opcode`` inverts bits of the instruction for one execution; ``memory``
     inverts bits of the word that the instruction reads or writes; ``none`` does everything but the flip.
@@ -55,6 +131,8 @@ class FaultSpec(Strict):
         default="any", description="of one number of a floating-point operand"
     )
     bit_numbers: tuple[int, ...] | None = Field(default=None, description="these bits, instead of drawn ones")
+    mask: MaskKind = Field(default="bits", description="the law by which the bits are drawn")
+    histogram: MaskHistogram | None = Field(default=None, description="of mask histogram: its content")
     stuck_value: Literal[0, 1] | None = None
     stuck_instructions: int | None = Field(default=None, ge=1, le=10_000)
     scope: Literal["kernel", "thread"] | None = Field(
@@ -102,6 +180,7 @@ class FaultSpec(Strict):
             yield from self._field_problems()
         if self.bit_numbers is not None:
             yield from self._bit_number_problems(self.bit_numbers)
+        yield from self._mask_problems()
 
     @property
     def at_equipment(self) -> bool:
@@ -112,6 +191,16 @@ class FaultSpec(Strict):
     def recurs(self) -> bool:
         """Whether it may strike more than once."""
         return self.recurrence != "once" or self.at_equipment
+
+    @property
+    def most_bits(self) -> int:
+        """The bits that whatever is struck must have at least: as many as may be drawn of it."""
+        return self.bits if self.histogram is None else self.histogram.most_bits
+
+    @property
+    def named_bits(self) -> frozenset[int]:
+        """The numbers of the bits of which whatever is struck must have each; empty if none is named."""
+        return frozenset(self.bit_numbers or ()) if self.histogram is None else self.histogram.named_bits
 
     def _equipment_problems(self) -> Iterator[str]:
         failures = get_args(EquipmentFailure)
@@ -153,6 +242,23 @@ class FaultSpec(Strict):
         if (self.operand, self.register_class) != ("any", "any") or self.scope == "kernel":
             yield "operand, register_class and scope go with level instruction: a message has none"
 
+    def _mask_problems(self) -> Iterator[str]:
+        if self.mask == "histogram" and self.histogram is None:
+            yield "mask histogram needs histogram: a FILE.toml, or the tables of one"
+        if self.mask != "histogram" and self.histogram is not None:
+            yield f"histogram goes with mask histogram, not {self.mask}"
+        if self.mask == "bits":
+            return
+        if self.bits != 1:
+            yield f"bits goes with mask bits: mask {self.mask} itself says how many"
+        both = f"mask {self.mask} both say which bits: leave out one"
+        if self.bit_numbers is not None:
+            yield f"bit_numbers and {both}"
+        if self.field != "any" and (self.mask in ("byte", "word") or self.named_bits):
+            yield f"field and {both}"
+        if self.mask == "word" and self.model == "opcode":
+            yield "model opcode: an instruction has bytes, no words: choose mask byte"
+
     def _field_problems(self) -> Iterator[str]:
         if self.register_class not in ("vector", "any"):
             yield (
@@ -161,9 +267,9 @@ class FaultSpec(Strict):
             )
         if self.bit_numbers is not None:
             yield "field and bit_numbers both say which bits: leave out one"
-        largest = {"sign": 1, "exponent": 11, "mantissa": 52}.get(self.field, self.bits)
-        if self.bits > largest:
-            yield f"bits: {self.field} has at most {largest}, got {self.bits}"
+        largest = {"sign": 1, "exponent": 11, "mantissa": 52}.get(self.field, self.most_bits)
+        if self.most_bits > largest:
+            yield f"bits: {self.field} has at most {largest}, got {self.most_bits}"
 
     def _bit_number_problems(self, numbers: tuple[int, ...]) -> Iterator[str]:
         if not numbers or len(set(numbers)) < len(numbers) or not all(0 <= one < 512 for one in numbers):

@@ -22,6 +22,7 @@ Made = Callable[[str], object]
 
 _MISSIONS = ("navigation", "scanning", "mapping", "search", "delivery")
 _FIELDS = ("any", "sign", "exponent", "mantissa")
+_MASKS = ("bits", "uniform", "byte", "word")
 _LARGEST_SEED = 2**32 - 1
 
 
@@ -55,13 +56,21 @@ def fault_form(service: Service, campaign: Campaign, made: Made) -> None:
         target.props("outlined dense")
         field = _choice("Bits of", list(_FIELDS), "any")
         bits = _number("Number of bits", 1, 8, least=1)
+        mask = _choice("Mask", list(_MASKS), "bits")
         seed = _number("Seed", 0, _LARGEST_SEED)
 
     @told
     async def inject() -> None:
         level, _, name = str(target.value).partition(" ")
         fault = FaultSpec.model_validate(
-            {"level": level, "target": name, "field": field.value, "bits": _whole(bits), "seed": _whole(seed)}
+            {
+                "level": level,
+                "target": name,
+                "field": field.value,
+                "bits": _whole(bits),
+                "mask": mask.value,
+                "seed": _whole(seed),
+            }
         )
         flight = await ask(inject_by_hand, service, campaign, HandMadeFault(fault=fault), Response())
         made(flight.campaign.campaign)

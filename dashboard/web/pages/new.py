@@ -26,6 +26,7 @@ OWN = "own"
 KERNEL_TARGETS = [name for name in KERNELS if name not in GOAL_KERNELS.values()]
 STATE_TARGETS = [*GROUPS, *STATES]
 FIELDS = ["any", "sign", "exponent", "mantissa"]
+MASKS = ["bits", "uniform", "byte", "word"]
 NONE = "none"
 KEPT = {
     NONE: "none; a run can be recorded later",
@@ -90,6 +91,7 @@ class _Form:
         self._states = choice("states to inject", STATE_TARGETS, [])
         self._bits = number("bits", 1, 1, 64)
         self._field = choice("bits of", FIELDS, "any")
+        self._mask = choice("mask", MASKS, "bits")
         self._planner = choice("planner", list(PLANNERS), "rrt_star")
         self._time = number("mission ends after, s", 200, 1)
         self._detector = choice("detector that recomputes", [NONE, *with_models()], NONE)
@@ -107,7 +109,11 @@ class _Form:
         return admitted(self._service, wanted)
 
     def _own_spec(self) -> CampaignSpec:
-        fault = {"bits": int(self._bits.value or 0), "field": self._field.value}
+        fault = {
+            "bits": int(self._bits.value or 0),
+            "field": self._field.value,
+            "mask": self._mask.value,
+        }
         kernels = [
             {
                 "name": name,

@@ -37,6 +37,24 @@ CODES = {
         ({"model": "opcode"}, set(CODES) - {"syscall"}),
         ({"bit_numbers": [40, 41]}, set(CODES) - {"jne", "nop", "syscall", "kmovw k1,eax"}),
         ({"bit_numbers": [100]}, {"movaps xmm0,xmm1"}),
+        ({"model": "opcode", "bits": 17}, set(CODES) - {"syscall", "jne", "nop"}),
+        ({"mask": "byte"}, set(CODES) - {"nop", "syscall"}),
+        ({"mask": "word", "model": "memory"}, {"mov rax,[rbx]", "mov [rbx],rax"}),
+        ({"mask": "uniform", "field": "exponent"}, {"mulsd xmm0,xmm1"}),
+        ({"mask": "histogram", "histogram": {"bits": {1: 0.5, 65: 0.5}}}, {"movaps xmm0,xmm1"}),
+        (
+            {"mask": "histogram", "histogram": {"positions": {2: 0.5, 40: 0.5}}},
+            set(CODES) - {"jne", "nop", "syscall", "kmovw k1,eax"},
+        ),
+        (
+            {"mask": "histogram", "histogram": {"masks": {"0x5": 0.5, hex(1 << 70): 0.5}}},
+            {"movaps xmm0,xmm1"},
+        ),
+        (
+            {"mask": "histogram", "histogram": {"bits": {20: 1.0}}, "model": "opcode"},
+            {"add rax,rcx", "mulsd xmm0,xmm1", "mov rax,[rbx]", "mov [rbx],rax", "movaps xmm0,xmm1"}
+            | {"kmovw k1,eax"},
+        ),
     ],
 )
 def test_an_instruction_is_eligible_by_its_operands(fields: dict[str, Any], eligible: set[str]) -> None:
