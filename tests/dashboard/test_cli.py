@@ -50,6 +50,11 @@ def test_fly_prints_one_outcome() -> None:
         (("fly", "--fault", "instruction:pid,field=exponent,register_class=gpr"), "floating-point"),
         (("fly", "--fault", "instruction:pid,model=stuck_at"), "stuck_value"),
         (("fly", "--fault", "instruction:pid,register_class=flags,bit_numbers=0+3"), "bit 3"),
+        (("fly", "--fault", "instruction:pid,mask=byte,bits=2"), "mask byte itself says how many"),
+        (("fly", "--fault", "instruction:pid,mask=histogram"), "FILE.toml"),
+        (("fly", "--fault", "instruction:pid,mask=histogram,histogram=no.toml"), "no.toml: No such file"),
+        (("kernels", "run", "--fault", "mask=histogram,histogram=no.toml"), "no.toml: No such file"),
+        (("inject", "--pid", "1", "--fault", "mask=histogram,histogram=no.toml"), "no.toml: No such file"),
         (("fly", "--seed", "-1"), "seed"),
         (("fly", "--seed", "many"), "many"),
         (("fly", "--fault", "instruction:pid", "--fault-seed", "-3"), "seed"),
@@ -70,6 +75,30 @@ def test_a_machine_that_forbids_tracing_is_told_before_anything_starts() -> None
     assert len(answer.stderr.splitlines()) == 1
     assert "ptrace" in answer.stderr
     assert "--cap-add SYS_PTRACE" in answer.stderr
+
+
+@pytest.mark.parametrize(
+    ("target", "text", "says"),
+    [
+        ("instruction:pid", "[bits]\n1 = 0.6\n", "upsets.toml: specification: bits sums to 0.6"),
+        ("instruction:pid", "[bits]\n1 = -0.6\n", "upsets.toml: bits.1: "),
+        ("instruction:pid", "[bits\n", "upsets.toml: not valid TOML"),
+        ("instruction:pid", "[wings]\n1 = 1.0\n", "upsets.toml: wings"),
+        (
+            "instruction:pid,register_class=flags",
+            "[positions]\n3 = 1.0\n",
+            "histogram: bit 3 is no status flag",
+        ),
+        ("source:cloud.x", "[positions]\n3 = 0.5\n40 = 0.5\n", "cloud.x is a 32-bit floating-point number"),
+        ("source:cloud.x", "[bits]\n1 = 0.5\n33 = 0.5\n", "cloud.x is a 32-bit floating-point number"),
+    ],
+)
+def test_a_histogram_that_cannot_be_drawn_from_is_refused(
+    target: str, text: str, says: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "upsets.toml"
+    file.write_text(text)
+    assert says in refusal("fly", "--fault", f"{target},mask=histogram,histogram={file}")
 
 
 @pytest.mark.parametrize(

@@ -476,8 +476,8 @@ MUTANTS: list[Mutant] = [
         ),
         (
             "fault: an operand with just enough bits is passed over",
-            "len(bits) >= fault.bits]",
-            "len(bits) > fault.bits]",
+            "len(bits) >= fault.most_bits",
+            "len(bits) > fault.most_bits",
         ),
     ),
     *_of(
@@ -692,6 +692,39 @@ MUTANTS: list[Mutant] = [
             "if (among := groups(fault, one.width_bits, one.element_bits, one.accessed))",
             "if (among := groups(fault, one.width_bits, 64, one.accessed))",
         ),
+    ),
+    *_of(
+        "injector/faults/eligibility.py",
+        "tests/injector/faults/test_eligibility.py",
+        (
+            "masks: an instruction is corrupted that has too few bits",
+            "return bool(groups(fault, 8 * len(instruction.code)))",
+            "return True",
+        ),
+    ),
+    *_of(
+        "services/models/fault_model.py",
+        "tests/services/models/test_masks.py",
+        ("masks: uniform may flip nothing", ".any():", ".any() and False:"),
+        ("masks: a word is a byte", '"word": 32', '"word": 8'),
+        (
+            "masks: of a histogram's keys the first is too likely",
+            "edges, draw.random() * edges[-1]",
+            "edges, draw.random() ** 1.1 * edges[-1]",
+        ),
+        ("masks: a position is of the operand's first number", "return bits.start if", "return 0 if"),
+        (
+            "masks: an operand is struck in which not all fits",
+            "len(bits) >= fault.most_bits and _has(bits, named)",
+            "_has(bits, named)",
+        ),
+        ("masks: a position may be missing", "and _has(bits, named)", ""),
+    ),
+    *_of(
+        "services/models/fault_spec.py",
+        "tests/services/models/test_masks.py",
+        ("masks: a histogram need not sum to 1", "if table and abs(total - 1) > _ROUNDING:", "if False:"),
+        ("masks: the order of a file's lines changes draws", "dict(sorted(table.items()))", "dict(table)"),
     ),
     *_of(
         "sim/sensors/faults.py",

@@ -97,5 +97,21 @@ def test_a_fault_on_a_missing_kernel_is_refused_with_its_place(tmp_path: Path) -
         load_campaign(str(path))
 
 
+@pytest.mark.parametrize("place", ["arms", "faults"])
+def test_a_histogram_is_kept_with_its_content(place: str, tmp_path: Path) -> None:
+    histogram = tmp_path / "upsets.toml"
+    histogram.write_text("[bits]\n2 = 0.25\n1 = 0.75\n")
+    path = tmp_path / "campaign.toml"
+    fault = f'{{target = "pid", mask = "histogram", histogram = "{histogram}"}}'
+    golden = '[[arms]]\nname = "a"\n' if place == "faults" else ""
+    path.write_text(f'name = "x"\nruns = 1\n{golden}[[{place}]]\nname = "b"\nfault = {fault}\n')
+    campaign = load_campaign(str(path))
+    histogram.unlink()
+    again = CampaignSpec.model_validate_json(campaign.model_dump_json())
+    (fault_of,) = [run.spec.fault for run in runs(again) if run.spec.fault is not None]
+    assert fault_of.histogram is not None
+    assert fault_of.histogram.bits == {1: 0.75, 2: 0.25}
+
+
 def test_presets_can_be_flown() -> None:
     assert load_campaign("demo").name == "demo"

@@ -56,6 +56,14 @@ def test_the_same_seed_gives_the_same_records_whoever_makes_them(
     assert descendants(os.getpid()) == before
 
 
+@pytest.mark.soak
+def test_a_study_draws_the_masks_of_a_histogram() -> None:
+    histogram = {"bits": {2: 0.5, 3: 0.5}}
+    fault = FaultSpec.model_validate({"target": "pid", "mask": "histogram", "histogram": histogram})
+    runs = studied(fault, 40)
+    assert {len(one.injection.bits) for one in runs if one.injection.status == "injected"} == {2, 3}
+
+
 def test_without_the_flip_all_is_benign() -> None:
     runs = studied(FaultSpec(target="pid", model="none"), 40)
     struck = [one for one in runs if one.injection.bits]

@@ -68,6 +68,21 @@ def test_an_injected_flight_repeats(first: Outcome, server: ForkServer) -> None:
     assert (answer.answer, answer.differences) == ("replayed", [])
 
 
+def test_a_mask_is_read_back_and_repeats(pairs: PairFlyer, server: ForkServer) -> None:
+    """The histogram is in the outcome, so that nothing else is needed."""
+    histogram = {"bits": {2: 0.5, 5: 0.5}}
+    fault = {"target": "pid", "register_class": "vector", "mask": "histogram", "histogram": histogram}
+    flown = pairs.fly(SHORT.model_copy(update={"fault": FaultSpec.model_validate(fault)}))
+    record = flown.injection
+    assert record is not None
+    assert record.status == "injected"
+    changed = int(record.before, 16) ^ int(record.read_back, 16)
+    assert [bit for bit in range(record.width_bits) if changed >> bit & 1] == record.bits
+    assert len(record.bits) in (2, 5)
+    answer = replay(Outcome.model_validate_json(flown.model_dump_json(by_alias=True)), server)
+    assert (answer.answer, answer.differences) == ("replayed", [])
+
+
 def test_nothing_is_flipped_where_the_site_looks_otherwise(first: Outcome, server: ForkServer) -> None:
     answer = replay(altered(first, registers="00", relative="00"), server)
     assert answer.answer == "diverged"

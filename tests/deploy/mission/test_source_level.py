@@ -8,6 +8,7 @@ from deploy.mission.golden_twin import PairFlyer
 from deploy.mission.replay import replay
 from services.models.fault_spec import FaultSpec
 from services.models.mission import Limits, MissionSpec
+from services.models.outcome import Outcome
 
 SHORT = Limits(mission_time_s=6.0)
 
@@ -35,6 +36,30 @@ def test_an_unknown_state_or_field_is_refused() -> None:
         check(spec(target="wings"))
     with pytest.raises(BadSpecError, match="32-bit integer"):
         check(spec(target="collision_check.future_collision_seq", field="sign"))
+
+
+@pytest.mark.parametrize(
+    ("fields", "most"),
+    [
+        ({"mask": "byte", "components": "all"}, 3 * 8),
+        ({"mask": "histogram", "histogram": {"masks": {"0x3": 0.5, "0x8000000000000": 0.5}}}, 2),
+    ],
+    ids=("byte", "histogram"),
+)
+def test_a_mask_is_drawn_read_back_and_repeats(
+    fields: dict[str, object], most: int, server: ForkServer
+) -> None:
+    outcome = PairFlyer(server).fly(spec(target="command.velocity", seed=4, **fields))
+    record = outcome.injection
+    assert record is not None
+    assert record.status == "injected"
+    changed = int(record.before, 16) ^ int(record.read_back, 16)
+    assert [bit for bit in range(record.width_bits) if changed >> bit & 1] == record.bits
+    assert len(record.bits) <= most
+    assert (
+        replay(Outcome.model_validate_json(outcome.model_dump_json(by_alias=True)), server).answer
+        == "replayed"
+    )
 
 
 @pytest.mark.parametrize(

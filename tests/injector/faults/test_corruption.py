@@ -196,6 +196,35 @@ def test_memory_that_is_read_stays_corrupted(tmp_path: Path) -> None:
         assert float(one.round()) == float(expected)
 
 
+@pytest.mark.parametrize(("mask", "width"), [("byte", 8), ("word", 32)])
+def test_a_byte_or_word_of_memory_takes_another_value(tmp_path: Path, mask: str, width: int) -> None:
+    with program(tmp_path, "mov cell(%%rip),%%rax", declarations=CELL) as one:
+        found = strike_at(one, "mov rax", model="memory", mask=mask)
+        changed = found.before ^ found.read_back
+        assert changed == sum(1 << bit for bit in found.bits) > 0
+        assert found.bits[0] // width == found.bits[-1] // width
+        expected = str(struct.unpack("<q", found.after.to_bytes(8, "little"))[0])
+        assert float(one.result()) == float(expected)
+
+
+def test_the_bits_of_a_mask_are_held(tmp_path: Path) -> None:
+    with program(tmp_path, *COUNT) as one:
+        found = strike_at(
+            one,
+            "add",
+            model="stuck_at",
+            stuck_value=1,
+            stuck_instructions=9,
+            mask="histogram",
+            histogram={"masks": {"0x30": 1.0}},
+            operand="destination",
+            register_class="gpr",
+        )
+        assert (found.register, found.bits, found.before, found.after) == ("rax", (4, 5), 1, 0x31)
+        assert found.held_instructions == 9
+        assert one.result() == str(0x3A)
+
+
 def test_memory_that_is_written_is_corrupted_after_that(tmp_path: Path) -> None:
     lines = ["movb $9,cell+3(%%rip)", "mov cell(%%rip),%%rax"]
     with program(tmp_path, *lines, declarations=CELL) as one:
