@@ -1,9 +1,7 @@
 """A call that is run block by block in translation, so that the passes through every instruction are counted.
 
-The copy of a node that runs it finds a trap wherever code in question lies. Who arrives at one is sent on to
-a translation of the block there (:mod:`injector.block_profile.x86_64_translator`), which is made then; blocks
-that follow one another are linked, so that each is trapped at but once or twice. Code that is not in question
-runs as it is. The call can be stopped before drawn passes. x86-64 only; the process has one thread.
+The copy of a node that runs it (:mod:`injector.block_profile.translated_code`) is of no use after it. It can be
+stopped before drawn passes.
 """
 
 from __future__ import annotations
@@ -12,7 +10,6 @@ import os
 import signal
 import struct
 import threading
-from bisect import bisect_right
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,19 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from injector.block_profile.translation_memory import TranslationMemory, TranslationMemoryError, map_memory
-from injector.block_profile.x86_64_translator import (
-    MOST_BYTES,
-    TRAP,
-    Counters,
-    Exit,
-    Translation,
-    TranslationError,
-    jump,
-    translate,
-)
+from injector.block_profile.translated_code import TranslatedCode
+from injector.block_profile.translation_memory import TranslationMemory, TranslationMemoryError
+from injector.block_profile.x86_64_translator import Counters, Translation, TranslationError, translate
 from injector.tracing import ptrace
-from injector.tracing.process import LONGEST_INSTRUCTION, Process
+from injector.tracing.process import Process
 from injector.tracing.ptrace import StopReport
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import FAULTS
@@ -67,7 +56,7 @@ class BlockCounts:
     noted: NDArray[np.int64]
 
 
-class CountedCall:
+class CountedCall(TranslatedCode):
     """The call at whose beginning a copy stands; the copy is of no use after it."""
 
     def __init__(
@@ -86,19 +75,14 @@ class CountedCall:
 
         :raises UncountableError: if there is no room for translations.
         """
-        self._thread, self._process, self._leaders = thread, process, leaders
-        self._ranges = list(code)
-        self._starts = [start for start, _ in code]
-        self._code = [process.read_memory(start, end - start) for start, end in code]
         try:
-            self._memories = map_memory(thread.tid, process, code)
+            super().__init__(thread, process, code)
         except TranslationMemoryError as error:
             raise UncountableError(str(error)) from error
-        self._lies: dict[int, int] = {}
+        self._leaders = leaders
         self._blocks: list[tuple[Translation, Counters]] = []
         self._at = np.empty((0, 2), np.int64)
         self._first = np.empty(0, np.uint64)
-        self._exits: dict[int, Exit] = {}
         self._left = {address: list(passes) for address, passes in (stops or {}).items()}
         self._watched = self._memories[0].words(1) if stops else 0
         self._stop_counters = {address: self._prepare_stop(address) for address in self._left}
@@ -106,27 +90,13 @@ class CountedCall:
         if self._left:
             self.watch(next(iter(self._left)))
         self._begun, self._traps = False, 0
-        for start, end in code:
-            process.write_memory(start, TRAP * (end - start))
+        self.overwrite()
 
     def _prepare_stop(self, address: int) -> Counters:
         memory = self._memory_of(address)
         passes, remaining = memory.words(1), memory.words(1)
         self._process.write_memory(remaining, _WORD.pack(self._left[address][0]))
         return Counters(passes, memory.scratch, memory.words(1), self._watched, remaining)
-
-    def code_at(self, address: int) -> bytes:
-        """The true bytes of the longest instruction that may begin at an address in question."""
-        return self._bytes(address, LONGEST_INSTRUCTION)
-
-    def _bytes(self, address: int, most: int) -> bytes:
-        index = bisect_right(self._starts, address) - 1
-        begin = address - self._starts[index]
-        return self._code[index][begin : begin + most]
-
-    def _in_question(self, address: int) -> bool:
-        index = bisect_right(self._starts, address) - 1
-        return index >= 0 and address < self._ranges[index][1]
 
     def run(self, mark: int) -> BlockCounts:
         """Run to the signal ``mark``, which ends the call; what was passed.
@@ -200,7 +170,7 @@ class CountedCall:
                 address = self._stops_at.get(ptrace.program_counter(tid))
                 if address is not None:
                     return address, self._passed_stop(address)
-                self._lead_on()
+                self._lead_on_or_give_up()
             elif report.kind == "signal" and report.signal in {*FAULTS, signal.SIGABRT}:
                 message = f"the call does not run in translation: signal {report.signal}"
                 raise UncountableError(message)
@@ -215,45 +185,23 @@ class CountedCall:
         self._process.write_memory(self._stop_counters[address].remaining, _WORD.pack(after))
         return hit
 
-    def _lead_on(self) -> None:
+    def _lead_on_or_give_up(self) -> None:
         """Lead on who stands behind a trap."""
         self._traps += 1
         if self._traps > MOST_TRAPS:
             message = f"the call does not run in translation: more than {MOST_TRAPS} traps"
             raise UncountableError(message)
-        trap = ptrace.program_counter(self._thread.tid) - len(TRAP)
-        exit_ = self._exits.get(trap)
-        if exit_ is not None:
-            target = exit_.target
-            where = self._translated(target) if self._in_question(target) else target
-            self._process.write_memory(exit_.field, exit_.leading_to(where))
-        elif self._in_question(trap):
-            where = self._translated(trap)
-        else:
+        trap = ptrace.program_counter(self._thread.tid) - 1
+        if not self._lead_on(self._thread.tid):
             message = f"the call does not run in translation: a trap at {trap:#x}"
             raise UncountableError(message)
-        ptrace.go_to(self._thread.tid, where)
 
-    def _translated(self, address: int) -> int:
-        """Where the translation of the block at an address lies; made if there is none yet."""
-        if address in self._lies:
-            return self._lies[address]
-        memory = self._memory_of(address)
-        at = memory.here
+    def _make(self, address: int, memory: TranslationMemory) -> Translation:
         counters = self._stop_counters.get(address) or Counters(
             memory.words(1), memory.scratch, memory.words(1) if self._watched else 0, self._watched
         )
-        made = translate(self._bytes(address, MOST_BYTES), address, at, counters, self._leaders)
-        memory.take(len(made.code))
-        self._process.write_memory(at, made.code)
-        if made.takes_a_jump:
-            self._process.write_memory(address, jump(address, at))
+        made = translate(self._block_at(address), address, memory.here, counters, self._leaders)
         if made.stop:
             self._stops_at[made.stop] = address
-        self._exits |= {one.trap: one for one in made.exits}
         self._blocks.append((made, counters))
-        self._lies[address] = at
-        return at
-
-    def _memory_of(self, address: int) -> TranslationMemory:
-        return self._memories[bisect_right(self._memories, address, key=lambda one: one.start) - 1]
+        return made

@@ -10,8 +10,9 @@ Sources: Intel SDM volume 2 (encodings); System V ABI, 3.2.2 (the red zone, why 
 from __future__ import annotations
 
 import struct
-from collections.abc import Container, Sequence
+from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import iced_x86
 from iced_x86 import ConditionCode, FlowControl, Mnemonic, Register, RflagsBits
@@ -77,10 +78,28 @@ class Exit:
         return _displacement(address, self.field + _DISPLACEMENT.size)
 
 
+class InsertedCode(Protocol):
+    """Machine code around an instruction's translation; it spares whatever it is not to change.
+
+    No code is put behind an instruction that may lead elsewhere.
+    """
+
+    def before(self, at: int) -> bytes:
+        """The code to lie ``at`` this address, the instruction right behind it."""
+
+    def after(self, at: int) -> bytes:
+        """The code to lie ``at`` this address, right behind the instruction."""
+
+
+Insert = Callable[[iced_x86.Instruction, bytes], InsertedCode | None]
+"""What is put around an instruction of these bytes, if anything."""
+
+
 @dataclass(frozen=True, slots=True)
 class Translation:
     """The translation of the block whose ``instructions`` lie at these addresses; ``size`` are its bytes.
 
+    ``returns`` are pairs: a return address that the translation leaves on the stack, and the true one.
     ``stop`` is what the program counter is at the trap of ``Counters.remaining``. A jump may be written over
     the block's beginning only if it ``takes_a_jump``: nobody arrives within those five bytes.
     """
@@ -89,6 +108,7 @@ class Translation:
     size: int
     code: bytes
     exits: tuple[Exit, ...]
+    returns: tuple[tuple[int, int], ...]
     stop: int
     takes_a_jump: bool
 
@@ -99,25 +119,33 @@ def jump(at: int, target: int) -> bytes:
 
 
 def translate(
-    code: bytes, address: int, at: int, counters: Counters, leaders: Container[int] = ()
+    code: bytes,
+    address: int,
+    at: int,
+    counters: Counters | None,
+    leaders: Container[int] = (),
+    insert: Insert = lambda _instruction, _code: None,
 ) -> Translation:
     """Translate the block that begins with ``code`` at ``address`` for memory ``at`` another address.
 
-    It ends before each of ``leaders`` at the latest.
+    It ends before each of ``leaders`` at the latest. Without ``counters`` it counts nothing.
 
     :raises TranslationError: if it begins with no instruction, or lies too far away.
     """
     block, offsets = _block(code, address, leaders)
     out = _Writer(at)
-    out.count(counters, flags_are_free=_flags_are_free(block))
+    if counters is not None:
+        out.count(counters, flags_are_free=_flags_are_free(block))
     for one, offset in zip(block, offsets, strict=True):
-        out.instruction(one, code[one.ip - address :][: one.len], offset, is_last=one is block[-1])
+        raw = code[one.ip - address :][: one.len]
+        out.instruction(one, raw, offset, is_last=one is block[-1], around=insert(one, raw))
     exits = out.close()
     return Translation(
         tuple(one.ip for one in block),
         block[-1].next_ip - address,
         bytes(out.code),
         exits,
+        tuple(out.returns),
         out.stop,
         # Functions begin at multiples of 16 or with a mark for indirect calls.
         block[-1].next_ip - address >= len(jump(0, 0))
@@ -177,6 +205,7 @@ class _Writer:
     def __init__(self, at: int) -> None:
         self.code = bytearray()
         self.stop = 0
+        self.returns: list[tuple[int, int]] = []
         self._at = at
         self._open: list[tuple[int, int]] = []
 
@@ -203,9 +232,19 @@ class _Writer:
             self.stop = self._at + len(self.code)
             self._referring(_LOAD_RCX, kept)
 
-    def instruction(self, one: iced_x86.Instruction, raw: bytes, offset: int, *, is_last: bool) -> None:
+    def instruction(
+        self,
+        one: iced_x86.Instruction,
+        raw: bytes,
+        offset: int,
+        *,
+        is_last: bool,
+        around: InsertedCode | None = None,
+    ) -> None:
         """Write one instruction of the block; the last one with the ways out of it."""
         flow = one.flow_control
+        if around is not None:
+            self.code += around.before(self._at + len(self.code))
         if flow == FlowControl.CONDITIONAL_BRANCH and one.mnemonic in _SHORT_ONLY:
             self.code += raw[:-1] + bytes([_OVER_A_JUMP])
             self._way_out(_JUMP, one.next_ip)
@@ -218,6 +257,7 @@ class _Writer:
             self._way_out(_JUMP, one.near_branch_target)
         elif flow == FlowControl.CALL and one.near_branch_target:
             self._way_out(_CALL, one.near_branch_target)
+            self.returns.append((self._at + len(self.code), one.next_ip))
             self._way_out(_JUMP, one.next_ip)
         else:
             if one.is_ip_rel_memory_operand:
@@ -225,6 +265,10 @@ class _Writer:
                 moved = _displacement(one.ip_rel_memory_address, after)
                 raw = raw[:offset] + moved + raw[offset + len(moved) :]
             self.code += raw
+            if around is not None and flow == FlowControl.NEXT:
+                self.code += around.after(self._at + len(self.code))
+            if flow == FlowControl.INDIRECT_CALL:
+                self.returns.append((self._at + len(self.code), one.next_ip))
             if is_last and flow in _LEADS_ON:
                 self._way_out(_JUMP, one.next_ip)
 
