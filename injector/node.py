@@ -26,8 +26,10 @@ from injector.flight.external_stage import (
 )
 from injector.flight.injection import inject
 from injector.flight.probe import ProbeLostError, ProbeRun, sent_ahead
+from injector.flight.recurring import strike_calls
 from injector.flight.site_draw import NothingEligibleError, draw_site
 from injector.flight.warm_up import warm_up_on_a_fork
+from injector.recurrence.struck_calls import StrikeTally
 from injector.tracing.compiled_functions import compiled_functions
 from injector.tracing.process import END_LIMIT_MS, Process, ProcessIdentity, VanishedError
 from injector.tracing.ptrace import GoneError, hear_of_children
@@ -64,15 +66,31 @@ def main(setup: NodeSetup, address: BusAddress, _: SharedStats) -> None:
         gate = NodeGate(bus, aimed_at(fault), clock, programs(setup.spec))
         publisher = bus.declare_publisher(session.topic_key("injection"))
         token = bus.liveliness().declare_token(announce.announcement(setup.name).key)
-        if gate.wait():
+
+        def tell(record: InjectionRecord) -> None:
+            text = record.model_dump_json(by_alias=True)
+            publisher.put(encode(Injection(record=text), TOPICS["injection"].type))
+
+        if fault.recurs_in_instructions:
+            follow_nodes(gate, fault, setup.spec.seed, tell)
+        elif gate.wait():
             with suppress(FlightOverError, VanishedError):  # the node may be killed meanwhile
                 own = setup.spec.own_stage(aimed_at(fault))
-                record = inject_at(gate, fault, setup.spec.seed, None if own is None else own.function)
-                text = record.model_dump_json(by_alias=True)
-                publisher.put(encode(Injection(record=text), TOPICS["injection"].type))
+                tell(inject_at(gate, fault, setup.spec.seed, None if own is None else own.function))
             while gate.wait():
                 gate.open()
         token.undeclare()  # type: ignore[no-untyped-call]
+
+
+def follow_nodes(
+    gate: NodeGate, fault: FaultSpec, seed: int, tell: Callable[[InjectionRecord], None]
+) -> None:
+    """Strike the node again and again from its first call at the gate on, and who is started in its place."""
+    tally = StrikeTally()
+    while gate.wait():
+        target, marks = gate.announced[aimed_at(fault)], int(gate.request()["marks"])
+        with suppress(VanishedError):  # the node may be killed meanwhile
+            strike_calls(target, marks, gate.open, fault, seed, tell, tally)
 
 
 class ProbeRuns:

@@ -22,13 +22,13 @@ in_store = click.option(
 )
 
 FAULT_FORM = "LEVEL:TARGET[,NAME=VALUE...]"
-_LISTS = ("bit_numbers",)
+_LISTS = ("bit_numbers", "opcodes")
 _ELSEWHERE = {"seed": "--fault-seed", "level": f"the form {FAULT_FORM}", "target": f"the form {FAULT_FORM}"}
 DETECTOR_FORM = "SCHEME[,NAME=VALUE...]"
 
 
 def parse_fault(text: str, seed: int, over: str) -> FaultSpec:
-    """The fault in ``text``: fields of :class:`FaultSpec` after the kernel; numbers of a list go with ``+``.
+    """The fault in ``text``: fields of :class:`FaultSpec` after the kernel; entries of a list go with ``+``.
 
     The injection point is drawn ``over`` the "calls" or the "time" of the flight.
 

@@ -58,12 +58,15 @@ class MissionBus:
         return True
 
     def injection(self, until_ns: int) -> InjectionRecord | None:
-        """The record of the mission's fault: of one that recurs, with all strikes up to that virtual time."""
+        """The record of the mission's fault: of one that recurs, with all strikes up to that virtual time.
+
+        Calls that end later do not count: how far they come is chance.
+        """
         if not self._recurs:
             return self._injections[-1] if self._injections else None
         found: InjectionRecord | None = None
         for record in self._injections:
-            if record.virtual_time_ns <= until_ns:
+            if max(record.virtual_time_ns, record.call_end_ns) <= until_ns:
                 found = with_strike(found, record)
         return found
 

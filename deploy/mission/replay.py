@@ -60,6 +60,9 @@ def refusal(first: Outcome) -> str:
         return "nothing to replay: no fault was injected in this flight"
     if first.spec.clock == "realtime":
         return "nothing to replay: a flight in real time does not repeat"
+    fault = first.spec.fault
+    if fault is not None and fault.recurs_in_instructions:
+        return "" if record.status == "injected" else f"nothing to replay: the fault is {record.status}"
     if not record.state and (record.trigger is None or record.trigger.site is None):
         how = f"precision {record.precision}"
         return f"nothing to replay: the fault is {record.status} and has no site ({how})"

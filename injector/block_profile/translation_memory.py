@@ -11,14 +11,10 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from injector.isa.x86_64_registers import entering, outside_of_calls
-from injector.tracing import ptrace
+from injector.block_profile.injected_call import injected_call
 from injector.tracing.process import Process
-from injector.tracing.ptrace import NT_PRSTATUS
 
-_SYSTEM_CALL = b"\x0f\x05"
 _MMAP = 9  # the number of the system call on x86-64
-_SET_SIZE, _RAX_AT = 512, 80
 _EXECUTABLE, _WRITABLE = mmap.PROT_READ | mmap.PROT_EXEC, mmap.PROT_READ | mmap.PROT_WRITE
 _FLAGS = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | 0x100000  # MAP_FIXED_NOREPLACE
 _NO_FILE = 2**64 - 1
@@ -117,13 +113,4 @@ def _map_near(tid: int, process: Process, start: int) -> TranslationMemory:
 
 def _map(tid: int, process: Process, at: int, size: int, protection: int) -> bool:
     """Have the thread map memory at an address; whether it did."""
-    own = outside_of_calls(ptrace.read_registers(tid, NT_PRSTATUS, _SET_SIZE))
-    here = ptrace.program_counter(tid)
-    with process.changed_code(here, _SYSTEM_CALL, process.read_memory(here, len(_SYSTEM_CALL))):
-        call = entering(own, here, _MMAP, at, size, protection, _FLAGS, _NO_FILE, 0)
-        ptrace.write_registers(tid, NT_PRSTATUS, call)
-        ptrace.step(tid)
-        ptrace.await_report(tid)
-        (mapped,) = _WORD.unpack_from(ptrace.read_registers(tid, NT_PRSTATUS, _SET_SIZE), _RAX_AT)
-        ptrace.write_registers(tid, NT_PRSTATUS, own)
-    return bool(mapped == at)
+    return injected_call(tid, process, _MMAP, at, size, protection, _FLAGS, _NO_FILE, 0) == at

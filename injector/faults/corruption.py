@@ -34,11 +34,11 @@ def corrupt_register(
     candidate, among = eligible[int(draw.integers(len(eligible)))]
     bits = draw_bits(fault, among, draw)
     # A thread that stands keeps its registers: what becomes of them is worked out while the others still run.
-    change = _Change(at.registers, fault, candidate, bits)
+    change = RegisterChange(at.registers, fault, candidate, bits)
     at.stop()
     if candidate.role == "destination":
         at.execute()
-        change = _Change(registers_of(at.thread), fault, candidate, bits)
+        change = RegisterChange(registers_of(at.thread), fault, candidate, bits)
     read_back = change.make(at)
     if fault.model == "stuck_at":
         return _hold(at, fault, candidate, change.told(at, read_back))
@@ -46,7 +46,7 @@ def corrupt_register(
     return change.told(at, read_back)
 
 
-class _Change:
+class RegisterChange:
     """Bits of one register that are to be changed in a standing thread."""
 
     def __init__(
@@ -113,7 +113,7 @@ def _hold(
                 reason = f"held until {instruction.text}"
                 break
             step(at.tracees, at.thread, instruction)
-            change = _Change(registers_of(at.thread), fault, candidate, first.bits)
+            change = RegisterChange(registers_of(at.thread), fault, candidate, first.bits)
             again = change.told(at, change.make(at))
         except (TargetError, GoneError) as error:
             reason = f"held until the thread stopped short: {error}"

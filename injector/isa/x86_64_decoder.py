@@ -54,6 +54,14 @@ _MASK_CONVERSION = re.compile(r"VPMOVM2([BWDQ])|VPMOV([BWDQ])2M")
 _MASK_BITS = {"B": 8, "W": 16, "D": 32, "Q": 64}
 _NAMES = {number: name for name, number in vars(Mnemonic).items() if name.isupper()}
 
+MNEMONICS = frozenset(name.lower() for name in _NAMES.values()) - {"invalid"}
+"""Of all instructions, as people write them."""
+
+
+def mnemonic(instruction: iced_x86.Instruction) -> str:
+    """The mnemonic of an instruction, one of :data:`MNEMONICS`."""
+    return _NAMES[instruction.mnemonic].lower()
+
 
 def decode(code: bytes, address: int) -> Instruction:
     """Decode the 64-bit instruction that ``code`` begins with.

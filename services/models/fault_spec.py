@@ -107,9 +107,10 @@ class FaultSpec(Strict):
     ``trigger`` may be left out; it is drawn then, from ``seed``. A stored outcome's specification says
     exactly when the fault struck.
 
-    ``recurrence`` says how often it strikes (level source): ``once``; and from ``from_s`` to ``until_s``
-    ``intermittent``, each message with ``probability``; ``permanent``, each message in the same bits;
-    ``rate``, as a Poisson process of ``rate_hz`` in virtual time, each upset in the next message.
+    ``recurrence`` says how often it strikes: ``once``; and from ``from_s`` to ``until_s`` ``intermittent``,
+    each message, or execution of an instruction, with ``probability``; ``permanent``, each in the same bits;
+    ``rate``, as a Poisson process of ``rate_hz`` in virtual time, each upset in the next message, or in the
+    time that the kernel takes.
 
     ``mask`` says which bits are drawn: ``bits`` distinct ones; with ``uniform`` every non-zero mask of what
     is accessed or of the ``field`` alike; with ``byte`` and ``word`` every non-zero mask of one aligned byte
@@ -141,8 +142,18 @@ class FaultSpec(Strict):
     components: Literal["one", "all"] = Field(default="one", description="of a vector of states")
     point: int | None = Field(default=None, ge=0, description="of a trajectory, instead of a drawn one")
     recurrence: Literal["once", "intermittent", "permanent", "rate"] = "once"
-    probability: float | None = Field(default=None, gt=0, le=1, description="that a message is struck")
-    rate_hz: float | None = Field(default=None, gt=0, le=1000, description="upsets per virtual second")
+    probability: float | None = Field(
+        default=None, gt=0, le=1, description="that a message, or an execution, is struck"
+    )
+    rate_hz: float | None = Field(
+        default=None,
+        gt=0,
+        le=1000,
+        description="upsets per virtual second; of kernel time at level instruction",
+    )
+    opcodes: tuple[str, ...] | None = Field(
+        default=None, description="mnemonics of the instructions that a fault which recurs strikes"
+    )
     from_s: float = Field(default=0.0, ge=0, le=3600, description="virtual time from which it recurs")
     until_s: float | None = Field(default=None, gt=0, le=3600, description="virtual time until which")
     size: float | None = Field(
@@ -202,6 +213,11 @@ class FaultSpec(Strict):
         """The numbers of the bits of which whatever is struck must have each; empty if none is named."""
         return frozenset(self.bit_numbers or ()) if self.histogram is None else self.histogram.named_bits
 
+    @property
+    def recurs_in_instructions(self) -> bool:
+        """Whether it strikes executions of instructions again and again."""
+        return self.level == "instruction" and self.recurrence != "once"
+
     def _equipment_problems(self) -> Iterator[str]:
         failures = get_args(EquipmentFailure)
         if not self.at_equipment or self.model not in failures:
@@ -224,8 +240,10 @@ class FaultSpec(Strict):
             yield f"{', '.join(sorted(extra))}: not of a sensor or motor"
 
     def _recurrence_problems(self) -> Iterator[str]:
-        if self.recurrence != "once" and self.level != "source":
-            yield f"recurrence {self.recurrence} goes with level source"
+        if self.recurs_in_instructions:
+            yield from self._execution_problems()
+        elif self.opcodes is not None:
+            yield "opcodes goes with level instruction and recurrence intermittent, permanent or rate"
         needs = {"intermittent": "probability", "rate": "rate_hz"}
         for kind, name in needs.items():
             if (getattr(self, name) is not None) != (self.recurrence == kind):
@@ -234,6 +252,19 @@ class FaultSpec(Strict):
             yield "from_s and until_s go with a recurrence: intermittent, permanent or rate"
         if self.until_s is not None and self.until_s <= self.from_s:
             yield f"until_s: {self.until_s} s is not after from_s, {self.from_s} s"
+
+    def _execution_problems(self) -> Iterator[str]:
+        models = ("bitflip", "none") if self.recurrence == "permanent" else ("bitflip", "memory", "none")
+        if self.model not in models:
+            yield f"recurrence {self.recurrence} at level instruction goes with model {' or '.join(models)}"
+        if self.scope == "thread":
+            yield "a fault that recurs strikes a kernel's own code: leave out scope"
+        if self.recurrence == "permanent" and not self.opcodes:
+            yield "recurrence permanent needs opcodes, those of the defective unit: opcodes=mulsd+mulpd"
+        if self.opcodes is not None and not all(self.opcodes):
+            yield "opcodes: expected mnemonics, like mulsd"
+        if self.trigger is not None and (self.trigger.site is not None or self.trigger.cpu_ns is not None):
+            yield f"recurrence {self.recurrence} has no one site: leave out site and cpu_ns"
 
     def _source_problems(self) -> Iterator[str]:
         if self.model not in ("bitflip", "none"):

@@ -54,8 +54,16 @@ class RepeatedInjection(Strict):
 
     invocation: int
     virtual_time_ns: int
-    state: list[str]
-    point: int
+    state: list[str] = []
+    point: int = 0
+    module: str = ""
+    build_id: str = ""
+    offset: int = 0
+    symbol: str = ""
+    instruction: str = ""
+    operand: Literal["source", "destination", ""] = ""
+    register_name: str = ""
+    address: int = 0
     bits: list[int]
     before: str
     after: str
@@ -107,6 +115,9 @@ class InjectionRecord(Strict):
     trigger: Trigger | None = Field(default=None, description="when it struck, for the same again")
     strikes: int = Field(default=0, description="of a fault that recurs: how often it struck")
     struck: list[RepeatedInjection] = Field(default=[], description=f"of these the first {STRIKES_KEPT}")
+    call_end_ns: int = Field(
+        default=0, description="virtual time at which the call ends that was struck first"
+    )
     probes: int = Field(default=0, description="copies of the node that were run ahead to find the site")
     resampled: int = Field(
         default=0, description="sites passed over: system call, nothing eligible, outside the scope"
@@ -114,17 +125,24 @@ class InjectionRecord(Strict):
 
 
 def with_strike(so_far: InjectionRecord | None, record: InjectionRecord) -> InjectionRecord:
-    """The record of a fault that recurs, after one more ``record``: the first strike's, and the count."""
+    """The record of a fault that recurs, after one more ``record``: the first strike's, and the count.
+
+    A record may tell of several strikes at once: those of a call.
+    """
     base = record if so_far is None or not so_far.strikes else so_far
     if record.status != "injected":
         return base
     strikes, struck = (0, []) if so_far is None else (so_far.strikes, so_far.struck)
-    if len(struck) < STRIKES_KEPT:
-        told = RepeatedInjection.model_validate(
-            {name: getattr(record, name) for name in RepeatedInjection.model_fields}
-        )
-        struck = [*struck, told]
-    return base.model_copy(update={"strikes": strikes + 1, "struck": struck})
+    more = record.struck if record.strikes else [strike_of(record)]
+    struck = [*struck, *more][:STRIKES_KEPT]
+    return base.model_copy(update={"strikes": strikes + max(record.strikes, 1), "struck": struck})
+
+
+def strike_of(record: InjectionRecord) -> RepeatedInjection:
+    """What a fault that recurs keeps of one of its strikes."""
+    return RepeatedInjection.model_validate(
+        {name: getattr(record, name) for name in RepeatedInjection.model_fields}
+    )
 
 
 def repeatable(record: InjectionRecord) -> InjectionRecord:

@@ -7,7 +7,8 @@ import os
 import signal
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -15,13 +16,13 @@ import numpy as np
 from services.bus import proxy_link, session
 from services.bus.proxy_link import NodeLink
 from services.runtime.latency import Latency
+from services.runtime.marked_calls import GATE_SIGNAL, MarkedCalls
 from services.runtime.probe_gate import stand_at_gate
 from services.runtime.setup import NodeSetup
 
 GATE_TIMEOUT_S = 60.0
 
-GATE_SIGNAL = signal.SIGURG
-"""Marks the beginning and the end of an armed call to the tracer; ignored by default."""
+NOTHING_MORE: Mapping[str, int] = MappingProxyType({})
 
 
 class TimedNode(Protocol):
@@ -39,7 +40,10 @@ class KernelTimer:
         self._proxy = proxy
         self._page = page
         self._page["gated"] = 0
-        self._fault = setup.spec.fault
+        fault = setup.spec.fault
+        recurs = fault is not None and fault.recurs_in_instructions
+        self._fault = None if recurs else fault
+        self._marked = MarkedCalls(fault) if fault is not None and recurs else None
         self._latencies: Mapping[str, Latency] = {
             kernel: Latency(stated, setup.spec.seed, kernel, setup.life)
             for kernel, stated in setup.latencies.items()
@@ -63,7 +67,8 @@ class KernelTimer:
         if armed:
             signal.raise_signal(GATE_SIGNAL)
         try:
-            yield
+            with self._mark(kernel, invocation, node.now_ns, end_ns):
+                yield
         finally:
             if in_probe:
                 signal.raise_signal(GATE_SIGNAL)
@@ -96,14 +101,24 @@ class KernelTimer:
         self._fault = None
         return True
 
-    def _gate(self, phase: str, kernel: str, invocation: int, now_ns: int) -> bool:
+    def _mark(self, kernel: str, invocation: int, now_ns: int, end_ns: int) -> AbstractContextManager[None]:
+        """Tell the injector of the call if the fault strikes it and others."""
+        if self._marked is None or not self._marked.include(kernel, now_ns):
+            return nullcontext()
+        return self._marked.call(
+            invocation, now_ns, end_ns, lambda more: self._gate("enter", kernel, invocation, now_ns, more)
+        )
+
+    def _gate(
+        self, phase: str, kernel: str, invocation: int, now_ns: int, more: Mapping[str, int] = NOTHING_MORE
+    ) -> bool:
         """Let the injector seize or detach from this process; True in a probe that it sends ahead.
 
         While it has, a signal to ourselves marks where the call begins and ends: the tracer sees it and
         takes it away, and without a tracer it is ignored.
         """
         request = json.dumps(
-            {"phase": phase, "kernel": kernel, "invocation": invocation, "virtual_time_ns": now_ns}
+            {"phase": phase, "kernel": kernel, "invocation": invocation, "virtual_time_ns": now_ns, **more}
         )
         self._page["gated"] = 1
         if self._stand_at_gate(session.gate_key(self._name), request):

@@ -1,0 +1,329 @@
+"""The calls of a node in which a fault recurs: the node is traced for as long as it lives.
+
+In a marked call (:mod:`services.runtime.marked_calls`) the code strikes, or traps where we are to; in between
+it runs as it is. A record tells the strikes of each call, before the node goes on.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from injector.block_profile.injected_call import bury_child, injected_fork, restore_copy
+from injector.block_profile.translation_memory import TranslationMemoryError
+from injector.faults.code_scope import countable_code
+from injector.faults.corruption import CORRUPTIONS, RegisterChange
+from injector.faults.record import record_of
+from injector.faults.stopped_thread import InjectionResult, StoppedThread, TargetError, registers_of
+from injector.recurrence import schedule
+from injector.recurrence.strike_code import STRIKING, TRAPPING
+from injector.recurrence.struck_code import FAR, StrikePlace, StruckCode
+from injector.tracing import ptrace
+from injector.tracing.compiled_functions import CompiledFunctions
+from injector.tracing.elf import CodeLocations
+from injector.tracing.process import AddressError, Process, ProcessIdentity
+from injector.tracing.ptrace import GoneError, StopReport
+from injector.tracing.tracee import Tracee
+from injector.tracing.tracees import FAULTS, TraceeGroup
+from services.models.fault_spec import FaultSpec
+from services.models.outcome import STRIKES_KEPT, InjectionRecord, strike_of
+from services.runtime.marked_calls import GATE_SIGNAL, MARKS, WITHIN
+
+COPY_LIMIT_S = 20.0
+"""Wall time after which a copy that counts a call's executions is given up."""
+
+_MARKS = struct.Struct(f"<{MARKS}q")
+_DEADLY = {*FAULTS, signal.SIGABRT, signal.SIGSYS}
+
+
+@dataclass
+class StrikeTally:
+    """What outlasts a node that dies: how many strikes were told in full, and whether anything was told."""
+
+    kept: int = 0
+    told: bool = False
+
+
+@dataclass
+class _Call:
+    """A call that is under way: which it is, from when to when, and its strikes so far."""
+
+    invocation: int
+    begin_ns: int
+    end_ns: int
+    gaps: Iterator[int] = field(default_factory=lambda: iter(()))
+    times_ns: list[int] = field(default_factory=list)
+    attempts: int = 0
+    strikes: int = 0
+    records: list[InjectionRecord] = field(default_factory=list)
+    failed: InjectionRecord | None = None
+
+
+@dataclass
+class StruckCalls:
+    """Follows a node from the gate of its first such call to its end.
+
+    The thread is seized and runs; ``marks`` is where the node says which call it is in, ``tell`` is given the
+    records.
+    """
+
+    tracees: TraceeGroup
+    thread: Tracee
+    process: Process
+    fault: FaultSpec
+    node: str
+    seed: int
+    marks: int
+    tell: Callable[[InjectionRecord], None]
+    tally: StrikeTally
+    compiled: CompiledFunctions | None = None
+    _code: StruckCode | None = None
+    _places: CodeLocations | None = None
+    _call: _Call | None = None
+
+    def follow(self) -> None:
+        """Serve the node until it is gone.
+
+        :raises UnfollowedError: if it cannot be followed.
+        """
+        number: int | None = 0
+        while True:
+            try:
+                report = self._next_report(number)
+                if report.kind == "gone":
+                    self.tracees.threads.pop(self.thread.tid, None)
+                    return
+                number = self._answer(report)
+            except (GoneError, AddressError):
+                number = None  # it was killed: that is reported next
+
+    def _next_report(self, number: int | None) -> StopReport:
+        tid, standing = self.thread.tid, self.thread.report
+        self.thread.report = None
+        with suppress(GoneError):
+            if standing is not None and standing.kind == "group_stop":
+                ptrace.listen(tid)
+            elif standing is not None and number is not None:
+                ptrace.resume(tid, number)
+        try:
+            report = ptrace.await_report(tid)
+        except ChildProcessError:  # it went in a step
+            report = StopReport("gone")
+        self.thread.report = report
+        return report
+
+    def _answer(self, report: StopReport) -> int:
+        """Do what a report asks for; the signal with which the thread goes on."""
+        if report.kind in ("new_thread", "new_process"):
+            message = f"process {self.process.pid} starts others while its code is in translation"
+            raise UnfollowedError(message)
+        if report.kind != "signal":
+            return 0
+        if report.signal == GATE_SIGNAL:
+            self._at_mark()
+            return 0
+        if report.signal == signal.SIGTRAP and self._code is not None:
+            place = self._code.place_at(ptrace.program_counter(self.thread.tid))
+            if place is not None:
+                return self._strike(place, self._code)
+            if self._code.lead_on(self.thread.tid):
+                return 0
+        if report.signal in _DEADLY:
+            self._end_call()
+        return report.signal
+
+    # -- calls -------------------------------------------------------------------------------------
+
+    def _at_mark(self) -> None:
+        phase, *which = _MARKS.unpack(self.process.read_memory(self.marks, _MARKS.size))
+        self._end_call()
+        if phase == WITHIN:
+            self._begin_call(_Call(*which))
+
+    def _begin_call(self, call: _Call) -> None:
+        if self._code is None:
+            try:
+                self._code = self._translate()
+            except TranslationMemoryError as error:
+                self._tell_failure(call, str(error))
+                return
+        code, self._call = self._code, call
+        if self.fault.recurrence == "permanent":
+            code.put(code.words.strikes, 0)
+            code.put(code.words.unread, 0)
+            code.put(code.words.mode, TRAPPING if self.tally.kept < STRIKES_KEPT else STRIKING)
+            return
+        if self.fault.recurrence == "intermittent":
+            call.gaps = schedule.intermittent_gaps(self.fault, self.seed, call.invocation)
+        else:
+            self._draw_upsets(call, code)
+        code.put(code.words.left, next(call.gaps, FAR))
+
+    def _translate(self) -> StruckCode:
+        self._places = CodeLocations(self.process.pid, self.process.maps(), self.compiled)
+        code = countable_code(self.fault, self.process)
+        return StruckCode(self.thread, self.process, code, self.fault, self.seed)
+
+    def _draw_upsets(self, call: _Call, code: StruckCode) -> None:
+        latency_ns = call.end_ns - call.begin_ns
+        parts = schedule.upsets(self.fault, self.seed, call.invocation, latency_ns)
+        executions = self._executions(code) if len(parts) else 0
+        call.gaps = schedule.gaps(schedule.upset_executions(parts, executions))
+        call.times_ns = [call.begin_ns + round(part * latency_ns) for part in parts.tolist()]
+
+    def _executions(self, code: StruckCode) -> int:
+        """How many executions that can be struck the call has, as a copy of the node runs it ahead.
+
+        A copy that dies has as many as it came to; none if it does not come to an end.
+        """
+        tid = injected_fork(self.thread.tid, self.process)
+        watchdog = threading.Timer(COPY_LIMIT_S, os.kill, (tid, signal.SIGKILL))
+        watchdog.start()
+        try:
+            with Process(ProcessIdentity.of(tid)) as copy:
+                restore_copy(copy, tid, self.process)
+                return _run_ahead(tid, copy, code)
+        except GoneError:
+            return 0
+        finally:
+            watchdog.cancel()
+            watchdog.join()
+            with suppress(ProcessLookupError):
+                os.kill(tid, signal.SIGKILL)
+            with suppress(ChildProcessError):
+                while ptrace.await_report(tid).kind != "gone":
+                    pass
+            bury_child(self.thread.tid, self.process)
+
+    def _end_call(self) -> None:
+        call, self._call = self._call, None
+        if call is None or self._code is None:
+            return
+        code = self._code
+        call.strikes += code.get(code.words.strikes)
+        if code.get(code.words.unread):
+            self._tell_failure(call, "a register did not take the change")
+        code.put(code.words.strikes, 0)
+        code.disarm()
+        if call.failed is not None:
+            self.tell(call.failed)
+        if call.records:
+            self._tell_strikes(call)
+        elif call.strikes:
+            self._tell_count(call)
+        elif not self.tally.told:
+            self.tally.told = True
+            self.tell(self._record(call, InjectionResult("not_activated", "no call was struck")))
+
+    # -- strikes -----------------------------------------------------------------------------------
+
+    def _strike(self, place: StrikePlace, code: StruckCode) -> int:
+        """Strike at a trap; the signal with which the thread goes on."""
+        thread, call = self.thread, self._call
+        ptrace.go_to(thread.tid, place.inserted.end)
+        registers = registers_of(thread)
+        registers.put("rcx", code.get(code.words.rcx))
+        registers.commit()
+        thread.report = StopReport("step")
+        if call is None:
+            return 0
+        standing = StoppedThread(
+            self.tracees, thread, self.process, registers, place.instruction, _nothing, _nothing
+        )
+        try:
+            result = self._result(standing, place, call)
+        except TargetError:  # it fails by itself before it could be struck
+            result = None
+        except AddressError:  # so will the access
+            result = None
+        if result is not None:
+            self._note(call, result)
+        call.attempts += 1
+        if place.operand is None:
+            code.put(code.words.left, next(call.gaps, FAR))
+        elif self.tally.kept >= STRIKES_KEPT:
+            code.put(code.words.mode, STRIKING)
+        number = thread.next_signal()
+        if number in _DEADLY:
+            self._end_call()
+        return number
+
+    def _result(self, standing: StoppedThread, place: StrikePlace, call: _Call) -> InjectionResult | None:
+        if place.operand is not None:
+            change = RegisterChange(standing.registers, self.fault, place.operand, place.bits)
+            return change.told(standing, change.make(standing))
+        draw = schedule.draw_of_strike(self.fault, self.seed, call.invocation, call.attempts)
+        return CORRUPTIONS[self.fault.model](standing, self.fault, draw)
+
+    def _note(self, call: _Call, result: InjectionResult) -> None:
+        if result.status == "injected":
+            call.strikes += 1
+            if self.tally.kept >= STRIKES_KEPT:
+                return
+            self.tally.kept += 1
+            call.records.append(self._record(call, result))
+        elif call.failed is None and not self.tally.told:
+            call.failed = self._record(call, result)
+            self.tally.told = True
+
+    def _record(self, call: _Call, result: InjectionResult) -> InjectionRecord:
+        places = self._places
+        number = call.attempts
+        return record_of(
+            result,
+            self.fault,
+            node=self.node,
+            kernel=self.fault.target,
+            invocation=call.invocation,
+            location=None if places is None else places.at,
+            precision="exact",
+            trigger=self.fault.trigger,
+            pid=self.process.pid,
+            tid=self.thread.tid,
+            virtual_time_ns=call.times_ns[number] if number < len(call.times_ns) else call.begin_ns,
+            call_end_ns=call.end_ns,
+        )
+
+    def _tell_strikes(self, call: _Call) -> None:
+        kept = [strike_of(one) for one in call.records]
+        self.tally.told = True
+        self.tell(call.records[0].model_copy(update={"strikes": call.strikes, "struck": kept}))
+
+    def _tell_count(self, call: _Call) -> None:
+        """Tell of strikes none of which is told in full."""
+        record = self._record(call, InjectionResult("injected"))
+        self.tell(record.model_copy(update={"strikes": call.strikes}))
+
+    def _tell_failure(self, call: _Call, reason: str) -> None:
+        self.tally.told = True
+        self.tell(self._record(call, InjectionResult("failed", reason)))
+
+
+def _run_ahead(tid: int, copy: Process, code: StruckCode) -> int:
+    """Run a copy to the end of its call, or to its death; how many executions could have been struck."""
+    number = 0
+    while True:
+        ptrace.resume(tid, number)
+        report, number = ptrace.await_report(tid), 0
+        if report.kind == "gone":
+            message = f"copy {tid} was killed"
+            raise GoneError(message)
+        if report.kind != "signal":
+            continue
+        ours = report.signal == signal.SIGTRAP and code.lead_on(tid, copy)
+        if report.signal == GATE_SIGNAL or (report.signal in _DEADLY and not ours):
+            return FAR - code.get(code.words.left, copy)
+        number = 0 if ours else report.signal
+
+
+def _nothing() -> None:
+    """Nobody else need stand: nothing but the thread is looked at."""
+
+
+class UnfollowedError(Exception):
+    """A node does what cannot be followed in translation: one line."""
