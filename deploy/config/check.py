@@ -101,6 +101,8 @@ def _check_instruction(fault: FaultSpec, spec: MissionSpec) -> None:
         _check_program(fault, own)
         return
     check_kernel(target)
+    if fault.recurs_in_instructions:
+        _check_recurrence(fault, spec)
     if target in PLANNERS and target != spec.planner:
         message = f"kernel {target!r} never runs with planner {spec.planner!r}: choose --planner {target}"
         raise BadSpecError(message)
@@ -108,6 +110,15 @@ def _check_instruction(fault: FaultSpec, spec: MissionSpec) -> None:
         message = f"kernel {target!r} never runs in mission {spec.mission!r}"
         raise BadSpecError(message)
     check_machine(fault)
+
+
+def _check_recurrence(fault: FaultSpec, spec: MissionSpec) -> None:
+    if spec.clock != "lockstep":
+        message = f"fault: recurrence {fault.recurrence} flies in virtual time: leave out --clock realtime"
+        raise BadSpecError(message)
+    if fault.recurrence == "rate" and not load_platform(spec.platform).kernels[fault.target].mean_ms:
+        message = f"fault: {fault.target} takes no time on this platform, so no upset comes in it"
+        raise BadSpecError(message)
 
 
 def _check_program(fault: FaultSpec, own: OwnStage) -> None:
@@ -118,6 +129,8 @@ def _check_program(fault: FaultSpec, own: OwnStage) -> None:
     if not own.function:
         message = f"stack: {stage} names no function, so no instruction of it can be struck"
         raise BadSpecError(message)
+    if fault.recurs_in_instructions:
+        raise BadSpecError(f"fault: recurrence {fault.recurrence} goes with our own kernels, not programs")
     if fault.scope == "kernel":
         raise BadSpecError("fault: scope kernel goes with our own kernels; of a program, the call is struck")
     check_machine(fault)

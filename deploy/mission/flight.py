@@ -77,7 +77,9 @@ def fly(
             order = MessageOrder(recorder, held=held, realtime=clock is not None)
             recurs = spec.fault is not None and spec.fault.recurs
             listening = MissionBus(bus, recorder, order, recurs=recurs)
-            supervisor = Supervisor(server, address, spec.limits.hang_cpu_s)
+            fault = spec.fault
+            traced = aimed_at(fault) if fault is not None and fault.recurs_in_instructions else ""
+            supervisor = Supervisor(server, address, spec.limits.hang_cpu_s, traced=traced)
             try:
                 mission = _Mission(spec, server, supervisor, listening, clock)
                 flown = mission.fly(order, taps, keep_messages=keep_messages)

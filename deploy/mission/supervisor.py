@@ -110,8 +110,12 @@ class SupervisedNode:
 class Supervisor:
     """Starts the processes of a mission on a fork server and watches them."""
 
-    def __init__(self, server: ForkServer, address: BusAddress, hang_cpu_s: float) -> None:
+    def __init__(
+        self, server: ForkServer, address: BusAddress, hang_cpu_s: float, *, traced: str = ""
+    ) -> None:
+        """Start nobody yet; the node of that name, if any, is traced as long as it lives."""
         self._server = server
+        self._traced = traced
         self._address = address
         self._hang_cpu_s = hang_cpu_s
         self.members: dict[str, SupervisedNode] = {}
@@ -174,7 +178,8 @@ class Supervisor:
         """Kill the nodes whose present step has used more thread time than a hang is granted.
 
         Thread time, not wall time: a loaded machine makes nobody hang. Nor does who traces a node: it is
-        traced until the fault strikes, and up to there does what its golden twin does.
+        traced until the fault strikes, and up to there does what its golden twin does. One in which a fault
+        recurs is traced all the time, and may hang as any other.
         """
         for member in self.members.values():
             page = member.stats.page
@@ -184,7 +189,8 @@ class Supervisor:
             step = (member.life, int(page["steps"]))
             pid = int(page["program"]) or member.pid
             used_s = thread_cpu_s(pid)
-            if step != member.watched_step or tracer_of(pid):
+            follows_its_twin = member.process.name != self._traced and tracer_of(pid)
+            if step != member.watched_step or follows_its_twin:
                 member.watched_step, member.cpu_at_step_s = step, used_s
             elif used_s - member.cpu_at_step_s > self._hang_cpu_s:
                 self.kill_as_hung(member)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Callable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import lru_cache
 
 from injector.isa import aarch64_decoder, aarch64_registers, x86_64_decoder, x86_64_registers
@@ -18,13 +19,15 @@ class Architecture:
     """What the injector needs to know of one.
 
     ``registers`` are those of a standing thread by its tid, ``decode`` takes bytes and their address,
-    ``classes`` are the classes of registers of this very processor, ``flags`` the bits of status flags.
+    ``classes`` are the classes of registers of this very processor, ``flags`` the bits of status flags,
+    ``mnemonics`` those of instructions among which a fault may recur: none if it cannot.
     """
 
     registers: Callable[[int], Registers]
     decode: Callable[[bytes, int], Instruction]
     classes: Callable[[], frozenset[RegisterClass]]
     flags: tuple[int, ...]
+    mnemonics: frozenset[str]
 
 
 _ARCHITECTURES = {
@@ -33,12 +36,14 @@ _ARCHITECTURES = {
         x86_64_decoder.decode,
         x86_64_registers.register_classes,
         x86_64_registers.STATUS_FLAGS,
+        x86_64_decoder.MNEMONICS,
     ),
     "aarch64": Architecture(
         aarch64_registers.AArch64Registers,
         aarch64_decoder.decode,
         lambda: aarch64_registers.REGISTER_CLASSES,
         aarch64_registers.STATUS_FLAGS,
+        frozenset(),
     ),
 }
 HOST = _ARCHITECTURES.get(platform.machine(), _ARCHITECTURES["x86_64"])
@@ -56,6 +61,7 @@ def require(fault: FaultSpec, host: Architecture = HOST) -> None:
 
     :raises AbsentError: naming what is absent.
     """
+    _require_opcodes(fault, host)
     wanted = fault.register_class
     present = host.classes()
     if wanted != "any" and wanted not in present:
@@ -71,3 +77,13 @@ def require(fault: FaultSpec, host: Architecture = HOST) -> None:
         given = "bit_numbers" if fault.histogram is None else "histogram"
         message = f"{given}: bit {min(unknown)} is no status flag on this CPU: choose of {flags}"
         raise AbsentError(message)
+
+
+def _require_opcodes(fault: FaultSpec, host: Architecture) -> None:
+    if fault.recurs_in_instructions and not host.mnemonics:
+        raise AbsentError(f"recurrence {fault.recurrence} at level instruction is not there on this CPU")
+    for name in fault.opcodes or ():
+        if name not in host.mnemonics:
+            similar = ", ".join(get_close_matches(name, sorted(host.mnemonics), 3))
+            message = f"opcodes: there is no instruction {name!r} on this CPU; similar: {similar or 'none'}"
+            raise AbsentError(message)

@@ -6,39 +6,33 @@ it runs as it is. A record tells the strikes of each call, before the node goes 
 
 from __future__ import annotations
 
-import os
 import signal
 import struct
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from injector.block_profile.injected_call import bury_child, injected_fork, restore_copy
 from injector.block_profile.translation_memory import TranslationMemoryError
 from injector.faults.code_scope import countable_code
 from injector.faults.corruption import CORRUPTIONS, RegisterChange
 from injector.faults.record import record_of
 from injector.faults.stopped_thread import InjectionResult, StoppedThread, TargetError, registers_of
 from injector.recurrence import schedule
+from injector.recurrence.executions import DEADLY, executions_ahead
 from injector.recurrence.strike_code import STRIKING, TRAPPING
 from injector.recurrence.struck_code import FAR, StrikePlace, StruckCode
 from injector.tracing import ptrace
 from injector.tracing.compiled_functions import CompiledFunctions
 from injector.tracing.elf import CodeLocations
-from injector.tracing.process import AddressError, Process, ProcessIdentity
+from injector.tracing.process import AddressError, Process
 from injector.tracing.ptrace import GoneError, StopReport
 from injector.tracing.tracee import Tracee
-from injector.tracing.tracees import FAULTS, TraceeGroup
+from injector.tracing.tracees import TraceeGroup
 from services.models.fault_spec import FaultSpec
 from services.models.outcome import STRIKES_KEPT, InjectionRecord, strike_of
 from services.runtime.marked_calls import GATE_SIGNAL, MARKS, WITHIN
 
-COPY_LIMIT_S = 20.0
-"""Wall time after which a copy that counts a call's executions is given up."""
-
 _MARKS = struct.Struct(f"<{MARKS}q")
-_DEADLY = {*FAULTS, signal.SIGABRT, signal.SIGSYS}
 
 
 @dataclass
@@ -133,7 +127,7 @@ class StruckCalls:
                 return self._strike(place, self._code)
             if self._code.lead_on(self.thread.tid):
                 return 0
-        if report.signal in _DEADLY:
+        if report.signal in DEADLY:
             self._end_call()
         return report.signal
 
@@ -172,33 +166,9 @@ class StruckCalls:
     def _draw_upsets(self, call: _Call, code: StruckCode) -> None:
         latency_ns = call.end_ns - call.begin_ns
         parts = schedule.upsets(self.fault, self.seed, call.invocation, latency_ns)
-        executions = self._executions(code) if len(parts) else 0
+        executions = executions_ahead(self.thread.tid, self.process, code) if len(parts) else 0
         call.gaps = schedule.gaps(schedule.upset_executions(parts, executions))
         call.times_ns = [call.begin_ns + round(part * latency_ns) for part in parts.tolist()]
-
-    def _executions(self, code: StruckCode) -> int:
-        """How many executions that can be struck the call has, as a copy of the node runs it ahead.
-
-        A copy that dies has as many as it came to; none if it does not come to an end.
-        """
-        tid = injected_fork(self.thread.tid, self.process)
-        watchdog = threading.Timer(COPY_LIMIT_S, os.kill, (tid, signal.SIGKILL))
-        watchdog.start()
-        try:
-            with Process(ProcessIdentity.of(tid)) as copy:
-                restore_copy(copy, tid, self.process)
-                return _run_ahead(tid, copy, code)
-        except GoneError:
-            return 0
-        finally:
-            watchdog.cancel()
-            watchdog.join()
-            with suppress(ProcessLookupError):
-                os.kill(tid, signal.SIGKILL)
-            with suppress(ChildProcessError):
-                while ptrace.await_report(tid).kind != "gone":
-                    pass
-            bury_child(self.thread.tid, self.process)
 
     def _end_call(self) -> None:
         call, self._call = self._call, None
@@ -212,6 +182,8 @@ class StruckCalls:
         code.disarm()
         if call.failed is not None:
             self.tell(call.failed)
+        if self.fault.model == "none":
+            call.strikes = 0
         if call.records:
             self._tell_strikes(call)
         elif call.strikes:
@@ -249,7 +221,7 @@ class StruckCalls:
         elif self.tally.kept >= STRIKES_KEPT:
             code.put(code.words.mode, STRIKING)
         number = thread.next_signal()
-        if number in _DEADLY:
+        if number in DEADLY:
             self._end_call()
         return number
 
@@ -267,7 +239,9 @@ class StruckCalls:
                 return
             self.tally.kept += 1
             call.records.append(self._record(call, result))
-        elif call.failed is None and not self.tally.told:
+            return
+        self.tally.kept += self.fault.model == "none"
+        if call.failed is None and not self.tally.told:
             call.failed = self._record(call, result)
             self.tally.told = True
 
@@ -302,23 +276,6 @@ class StruckCalls:
     def _tell_failure(self, call: _Call, reason: str) -> None:
         self.tally.told = True
         self.tell(self._record(call, InjectionResult("failed", reason)))
-
-
-def _run_ahead(tid: int, copy: Process, code: StruckCode) -> int:
-    """Run a copy to the end of its call, or to its death; how many executions could have been struck."""
-    number = 0
-    while True:
-        ptrace.resume(tid, number)
-        report, number = ptrace.await_report(tid), 0
-        if report.kind == "gone":
-            message = f"copy {tid} was killed"
-            raise GoneError(message)
-        if report.kind != "signal":
-            continue
-        ours = report.signal == signal.SIGTRAP and code.lead_on(tid, copy)
-        if report.signal == GATE_SIGNAL or (report.signal in _DEADLY and not ours):
-            return FAR - code.get(code.words.left, copy)
-        number = 0 if ours else report.signal
 
 
 def _nothing() -> None:

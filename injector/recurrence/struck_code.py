@@ -11,7 +11,13 @@ from iced_x86 import FlowControl
 
 from injector.block_profile.translated_code import TranslatedCode
 from injector.block_profile.translation_memory import TranslationMemory, TranslationMemoryError
-from injector.block_profile.x86_64_translator import InsertedCode, Translation, TranslationError, translate
+from injector.block_profile.x86_64_translator import (
+    TRAP,
+    InsertedCode,
+    Translation,
+    TranslationError,
+    translate,
+)
 from injector.faults.eligibility import eligible_registers, is_eligible
 from injector.isa.host import decode
 from injector.isa.instruction import Candidate, DecodeError, Instruction
@@ -19,6 +25,8 @@ from injector.isa.x86_64_decoder import mnemonic
 from injector.isa.x86_64_registers import register_classes
 from injector.recurrence.schedule import draws_of_defect
 from injector.recurrence.strike_code import OFF, ControlWords, CountdownCode, DefectCode
+from injector.recurrence.unwinding import TrappedUnwinder
+from injector.tracing import ptrace
 from injector.tracing.process import Process
 from injector.tracing.tracee import Tracee
 from services.models.fault_model import draw_bits, struck
@@ -69,6 +77,7 @@ class StruckCode(TranslatedCode):
         self.words = ControlWords.in_memory(self._memories[0])
         self.disarm()
         self.overwrite()
+        self._unwinder = TrappedUnwinder(process)
 
     # -- what happens in it ------------------------------------------------------------------------
 
@@ -95,6 +104,10 @@ class StruckCode(TranslatedCode):
 
         What is translated for a ``copy`` of the process, the process has, too.
         """
+        trap = ptrace.program_counter(tid) - len(TRAP)
+        if self._unwinder.is_entered(trap):
+            self._unwinder.enter(tid, copy or self._process, trap, self._returns)
+            return True
         self._copy = copy
         try:
             return self._lead_on(tid)
