@@ -91,6 +91,7 @@ class StruckCalls:
                 report = self._next_report(number)
                 if report.kind == "gone":
                     self.tracees.threads.pop(self.thread.tid, None)
+                    self._lose_call()
                     return
                 number = self._answer(report)
             except (GoneError, AddressError):
@@ -192,6 +193,13 @@ class StruckCalls:
             self.tally.told = True
             self.tell(self._record(call, InjectionResult("not_activated", "no call was struck")))
 
+    def _lose_call(self) -> None:
+        """Tell of a call in which somebody killed the node, as one that hangs is."""
+        call, self._call = self._call, None
+        if call is not None and call.records:
+            call.strikes = len(call.records)
+            self._tell_strikes(call, "killed in a call: only the strikes of it that are told are counted")
+
     # -- strikes -----------------------------------------------------------------------------------
 
     def _strike(self, place: StrikePlace, code: StruckCode) -> int:
@@ -263,10 +271,11 @@ class StruckCalls:
             call_end_ns=call.end_ns,
         )
 
-    def _tell_strikes(self, call: _Call) -> None:
+    def _tell_strikes(self, call: _Call, reason: str = "") -> None:
         kept = [strike_of(one) for one in call.records]
         self.tally.told = True
-        self.tell(call.records[0].model_copy(update={"strikes": call.strikes, "struck": kept}))
+        more = {"strikes": call.strikes, "struck": kept, "reason": reason}
+        self.tell(call.records[0].model_copy(update=more))
 
     def _tell_count(self, call: _Call) -> None:
         """Tell of strikes none of which is told in full."""

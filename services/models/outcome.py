@@ -135,7 +135,8 @@ def with_strike(so_far: InjectionRecord | None, record: InjectionRecord) -> Inje
     strikes, struck = (0, []) if so_far is None else (so_far.strikes, so_far.struck)
     more = record.struck if record.strikes else [strike_of(record)]
     struck = [*struck, *more][:STRIKES_KEPT]
-    return base.model_copy(update={"strikes": strikes + max(record.strikes, 1), "struck": struck})
+    more = {"strikes": strikes + max(record.strikes, 1), "struck": struck}
+    return base.model_copy(update={**more, "reason": base.reason or record.reason})
 
 
 def strike_of(record: InjectionRecord) -> RepeatedInjection:

@@ -26,8 +26,14 @@ PATIENCE_S = 60.0
 
 _CALL = """
 #include <signal.h>
+#ifdef __cplusplus
+extern "C" {
+#endif
 double kernel(void);
 double call(void) { raise(SIGURG); double result = kernel(); raise(SIGURG); return result; }
+#ifdef __cplusplus
+}
+#endif
 """
 
 
@@ -60,15 +66,16 @@ class Standing(NamedTuple):
 
 
 @contextmanager
-def standing(folder: Path, kernel: str) -> Iterator[Standing]:
-    """The process; gone afterwards, with its copies."""
-    compiler = shutil.which("cc")
+def standing(folder: Path, kernel: str, suffix: str = ".c") -> Iterator[Standing]:
+    """The process; gone afterwards, with its copies. The ``suffix`` says which language the kernel is in."""
+    compiler = shutil.which("cc" if suffix == ".c" else "c++")
     if compiler is None:
-        pytest.skip("no C compiler (cc) on this machine")
-    (folder / "kernel.c").write_text(_CALL + kernel)
+        pytest.skip(f"no compiler of {suffix} on this machine")
+    source = (folder / "kernel").with_suffix(suffix)
+    source.write_text(_CALL + kernel)
     library = folder / "kernel.so"
     command = [compiler, "-O1", "-fno-stack-protector", "-fcf-protection=none", "-shared", "-fPIC", "-o"]
-    subprocess.run([*command, library, folder / "kernel.c"], check=True)
+    subprocess.run([*command, library, source], check=True)
     call = ctypes.CDLL(str(library)).call
     call.restype = ctypes.c_double
     results, tell = os.pipe()
