@@ -130,6 +130,8 @@ def _injection(record: InjectionRecord) -> str:
         lines.append(f"executed: {record.instruction_after}")
     if record.held_instructions:
         lines.append(f"held for {record.held_instructions} instructions")
+    if record.strikes:
+        lines.append(f"struck {record.strikes} times, first at {record.virtual_time_ns / 1e9:.3f} s")
     return "\n".join([*lines, record.reason] if record.reason else lines)
 
 

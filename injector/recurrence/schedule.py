@@ -6,10 +6,10 @@ goes on where the one before it died.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.models.fault_spec import FaultSpec
 from services.runtime import rng
@@ -17,43 +17,30 @@ from services.runtime import rng
 _BLOCK = 64
 
 
-def intermittent_gaps(fault: FaultSpec, seed: int, invocation: int) -> Iterator[int]:
+def chance(fault: FaultSpec, latency_ns: int, executions: int) -> float:
+    """The chance of each execution in a call to be struck, of a fault that is intermittent or has a rate.
+
+    Upsets are a Poisson process in the time that the kernel takes. A call of as many ``executions`` as are
+    expected takes its latency; one of more takes longer in proportion. So each execution takes a part of it,
+    and is struck if an upset comes then.
+    """
+    if fault.probability is not None:
+        return fault.probability
+    expected = (fault.rate_hz or 0.0) * latency_ns / 1e9
+    return -math.expm1(-expected / executions) if executions else 0.0
+
+
+def gaps(fault: FaultSpec, seed: int, invocation: int, probability: float) -> Iterator[int]:
     """How many executions it is to each strike of a call from the one before, the struck one included.
 
-    Each execution is struck with the fault's ``probability``, so these numbers are geometric. They have no
-    memory: it is the same law that each call begins anew.
+    Each execution is struck with the ``probability``, independent of the others, so these numbers are
+    geometric. They have no memory: it is the same law that each call begins anew.
     """
+    if not probability:
+        return
     draw = rng.generator(seed, f"executions {fault.target}", fault.seed, invocation)
     while True:
-        yield from draw.geometric(fault.probability or 1.0, _BLOCK).tolist()
-
-
-def upsets(fault: FaultSpec, seed: int, invocation: int, latency_ns: int) -> NDArray[np.float64]:
-    """When upsets come in a call, as parts of the time that it takes, in order: a Poisson process."""
-    draw = rng.generator(seed, f"upsets {fault.target}", fault.seed, invocation)
-    number = draw.poisson((fault.rate_hz or 0.0) * latency_ns / 1e9)
-    return np.sort(draw.random(number))
-
-
-def upset_executions(parts: NDArray[np.float64], executions: int) -> list[int]:
-    """The executions, counted from 1, in which upsets at these parts of a call are.
-
-    The call's executions share its time alike. Two upsets in one strike it and its next neighbour; of a call
-    with fewer executions than upsets each is struck.
-    """
-    number = min(len(parts), executions)
-    found = np.floor(parts[:number] * executions).astype(np.int64) + 1
-    place = np.arange(number)
-    found = np.maximum.accumulate(found - place) + place
-    return [int(one) for one in np.minimum(found, executions - number + 1 + place)]
-
-
-def gaps(executions: list[int]) -> Iterator[int]:
-    """How many executions it is to each from the one before."""
-    before = 0
-    for one in executions:
-        yield one - before
-        before = one
+        yield from draw.geometric(probability, _BLOCK).tolist()
 
 
 def draw_of_strike(fault: FaultSpec, seed: int, invocation: int, number: int) -> np.random.Generator:
@@ -66,7 +53,7 @@ def draws_of_defect(fault: FaultSpec, seed: int) -> tuple[np.random.Generator, n
 
     Instructions that access operands of one kind are struck in the same bits of it.
     """
-    operand, bits = (
-        rng.generator(seed, f"defect {what} {fault.target}", fault.seed) for what in ("operand", "bits")
+    return (
+        rng.generator(seed, f"defect operand {fault.target}", fault.seed),
+        rng.generator(seed, f"defect bits {fault.target}", fault.seed),
     )
-    return operand, bits

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import signal
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -37,25 +37,39 @@ _MARKS = struct.Struct(f"<{MARKS}q")
 
 @dataclass
 class StrikeTally:
-    """What outlasts a node that dies: how many strikes were told in full, and whether anything was told."""
+    """What outlasts a node that dies: how many strikes were told in full, and whether anything was told.
+
+    ``executions`` are those that the last call had which came to its end.
+    """
 
     kept: int = 0
     told: bool = False
+    executions: int = 0
 
 
 @dataclass
 class _Call:
-    """A call that is under way: which it is, from when to when, and its strikes so far."""
+    """A call that is under way: which it is, from when to when, and its strikes so far.
+
+    ``executions`` are those up to the next strike, of so many ``expected`` in the call.
+    """
 
     invocation: int
     begin_ns: int
     end_ns: int
     gaps: Iterator[int] = field(default_factory=lambda: iter(()))
-    times_ns: list[int] = field(default_factory=list)
+    executions: int = 0
+    expected: int = 0
     attempts: int = 0
     strikes: int = 0
     records: list[InjectionRecord] = field(default_factory=list)
     failed: InjectionRecord | None = None
+
+    @property
+    def now_ns(self) -> int:
+        """The virtual time of a strike: how far the call is, if that is known, else its beginning."""
+        part = min(1.0, self.executions / self.expected) if self.expected else 0.0
+        return self.begin_ns + round(part * (self.end_ns - self.begin_ns))
 
 
 @dataclass
@@ -76,6 +90,7 @@ class StruckCalls:
     tell: Callable[[InjectionRecord], None]
     tally: StrikeTally
     compiled: CompiledFunctions | None = None
+    own_code: Callable[[FaultSpec, Process], Sequence[tuple[int, int]]] = countable_code
     _code: StruckCode | None = None
     _places: CodeLocations | None = None
     _call: _Call | None = None
@@ -136,7 +151,7 @@ class StruckCalls:
 
     def _at_mark(self) -> None:
         phase, *which = _MARKS.unpack(self.process.read_memory(self.marks, _MARKS.size))
-        self._end_call()
+        self._end_call(whole=True)
         if phase == WITHIN:
             self._begin_call(_Call(*which))
 
@@ -153,29 +168,31 @@ class StruckCalls:
             code.put(code.words.unread, 0)
             code.put(code.words.mode, TRAPPING if self.tally.kept < STRIKES_KEPT else STRIKING)
             return
-        if self.fault.recurrence == "intermittent":
-            call.gaps = schedule.intermittent_gaps(self.fault, self.seed, call.invocation)
-        else:
-            self._draw_upsets(call, code)
-        code.put(code.words.left, next(call.gaps, FAR))
+        if self.fault.recurrence == "rate" and not self.tally.executions:
+            self.tally.executions = executions_ahead(self.thread.tid, self.process, code)
+        call.expected = self.tally.executions
+        probability = schedule.chance(self.fault, call.end_ns - call.begin_ns, call.expected)
+        call.gaps = schedule.gaps(self.fault, self.seed, call.invocation, probability)
+        self._await_next(call, code)
+
+    def _await_next(self, call: _Call, code: StruckCode) -> None:
+        """Have the code trap at the next execution to be struck."""
+        gap = next(call.gaps, FAR)
+        call.executions += gap
+        code.put(code.words.left, gap)
 
     def _translate(self) -> StruckCode:
         self._places = CodeLocations(self.process.pid, self.process.maps(), self.compiled)
-        code = countable_code(self.fault, self.process)
+        code = self.own_code(self.fault, self.process)
         return StruckCode(self.thread, self.process, code, self.fault, self.seed)
 
-    def _draw_upsets(self, call: _Call, code: StruckCode) -> None:
-        latency_ns = call.end_ns - call.begin_ns
-        parts = schedule.upsets(self.fault, self.seed, call.invocation, latency_ns)
-        executions = executions_ahead(self.thread.tid, self.process, code) if len(parts) else 0
-        call.gaps = schedule.gaps(schedule.upset_executions(parts, executions))
-        call.times_ns = [call.begin_ns + round(part * latency_ns) for part in parts.tolist()]
-
-    def _end_call(self) -> None:
+    def _end_call(self, *, whole: bool = False) -> None:
         call, self._call = self._call, None
         if call is None or self._code is None:
             return
         code = self._code
+        if whole and self.fault.recurrence == "rate":
+            self.tally.executions = call.executions - code.get(code.words.left)
         call.strikes += code.get(code.words.strikes)
         if code.get(code.words.unread):
             self._tell_failure(call, "a register did not take the change")
@@ -225,7 +242,7 @@ class StruckCalls:
             self._note(call, result)
         call.attempts += 1
         if place.operand is None:
-            code.put(code.words.left, next(call.gaps, FAR))
+            self._await_next(call, code)
         elif self.tally.kept >= STRIKES_KEPT:
             code.put(code.words.mode, STRIKING)
         number = thread.next_signal()
@@ -255,7 +272,6 @@ class StruckCalls:
 
     def _record(self, call: _Call, result: InjectionResult) -> InjectionRecord:
         places = self._places
-        number = call.attempts
         return record_of(
             result,
             self.fault,
@@ -267,7 +283,7 @@ class StruckCalls:
             trigger=self.fault.trigger,
             pid=self.process.pid,
             tid=self.thread.tid,
-            virtual_time_ns=call.times_ns[number] if number < len(call.times_ns) else call.begin_ns,
+            virtual_time_ns=call.now_ns,
             call_end_ns=call.end_ns,
         )
 

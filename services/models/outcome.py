@@ -133,10 +133,14 @@ def with_strike(so_far: InjectionRecord | None, record: InjectionRecord) -> Inje
     if record.status != "injected":
         return base
     strikes, struck = (0, []) if so_far is None else (so_far.strikes, so_far.struck)
-    more = record.struck if record.strikes else [strike_of(record)]
-    struck = [*struck, *more][:STRIKES_KEPT]
-    more = {"strikes": strikes + max(record.strikes, 1), "struck": struck}
-    return base.model_copy(update={**more, "reason": base.reason or record.reason})
+    told = record.struck if record.strikes else [strike_of(record)]
+    return base.model_copy(
+        update={
+            "strikes": strikes + max(record.strikes, 1),
+            "struck": [*struck, *told][:STRIKES_KEPT],
+            "reason": base.reason or record.reason,
+        }
+    )
 
 
 def strike_of(record: InjectionRecord) -> RepeatedInjection:

@@ -47,6 +47,7 @@ def told(record: InjectionRecord) -> dict[str, str]:
         "Read back": record.read_back,
         "Became": record.instruction_after,
         "Held": f"for {record.held_instructions} instructions" if record.held_instructions else "",
+        "Strikes": f"{record.strikes}, of which this is the first" if record.strikes else "",
         "Drawn by": f"{record.precision}, {record.probes} probes, {record.resampled} sites passed over",
         "Pause": f"{record.pause_us / 1000:.2f} ms, {record.threads_stopped} threads stood"
         if record.threads_stopped

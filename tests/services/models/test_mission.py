@@ -124,7 +124,6 @@ def test_a_fault_survives_json(fields: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("fields", "problem"),
     [
-        ({"level": "instruction", "target": "pid", "recurrence": "permanent"}, "goes with level source"),
         ({"recurrence": "intermittent"}, "probability go together"),
         ({"probability": 0.5}, "probability go together"),
         ({"recurrence": "rate", "probability": 0.5}, "go together"),
@@ -135,3 +134,25 @@ def test_a_fault_survives_json(fields: dict[str, Any]) -> None:
 def test_a_recurrence_says_what_it_needs(fields: dict[str, object], problem: str) -> None:
     with pytest.raises(ValidationError, match=problem):
         FaultSpec.model_validate({"level": "source", "target": "command.vx", **fields})
+
+
+@pytest.mark.parametrize(
+    ("fields", "problem"),
+    [
+        ({"recurrence": "permanent"}, "needs opcodes"),
+        ({"recurrence": "permanent", "opcodes": [""]}, "expected mnemonics"),
+        ({"opcodes": ["mulsd"]}, "opcodes goes with level instruction and recurrence"),
+        (
+            {"recurrence": "permanent", "opcodes": ["mulsd"], "model": "memory"},
+            "goes with model bitflip or none",
+        ),
+        ({"recurrence": "rate", "rate_hz": 1.0, "model": "opcode"}, "bitflip or memory or none"),
+        ({"recurrence": "rate", "rate_hz": 1.0, "scope": "thread"}, "leave out scope"),
+        ({"recurrence": "rate", "rate_hz": 1.0, "trigger": {"cpu_ns": 5}}, "has no one site"),
+    ],
+)
+def test_a_fault_that_recurs_in_instructions_says_what_it_needs(
+    fields: dict[str, object], problem: str
+) -> None:
+    with pytest.raises(ValidationError, match=problem):
+        FaultSpec.model_validate({"target": "pid", **fields})
