@@ -34,7 +34,6 @@ def struck(outcome: Outcome) -> InjectionRecord:
     return record
 
 
-@pytest.mark.usefixtures("may_inject")
 def test_a_defective_unit_replays_to_the_bit(server: ForkServer) -> None:
     outcome = PairFlyer(server).fly(spec(**DEFECT, until_s=4.0, field="exponent"))
     record = struck(outcome)
@@ -49,7 +48,6 @@ def test_a_defective_unit_replays_to_the_bit(server: ForkServer) -> None:
     assert replay(outcome, server).answer == "replayed"
 
 
-@pytest.mark.usefixtures("may_inject")
 @pytest.mark.parametrize(
     "recurrence",
     [
@@ -72,7 +70,6 @@ def test_what_recurs_is_counted_and_repeats(recurrence: dict[str, object], serve
     assert replay(outcome, server).answer == "replayed"
 
 
-@pytest.mark.usefixtures("may_inject")
 def test_without_a_flip_the_flight_is_its_twin(server: ForkServer) -> None:
     outcome = PairFlyer(server).fly(spec(**DEFECT, model="none"))
     assert outcome.golden is not None
@@ -81,7 +78,6 @@ def test_without_a_flip_the_flight_is_its_twin(server: ForkServer) -> None:
     assert (outcome.injection.status, outcome.injection.strikes) == ("not_activated", 0)
 
 
-@pytest.mark.usefixtures("may_inject")
 def test_calls_that_execute_no_such_instruction_are_told(server: ForkServer) -> None:
     outcome = PairFlyer(server).fly(spec(recurrence="permanent", opcodes=["fsqrt"]))
     assert outcome.injection is not None
@@ -91,7 +87,6 @@ def test_calls_that_execute_no_such_instruction_are_told(server: ForkServer) -> 
 
 
 @pytest.mark.soak
-@pytest.mark.usefixtures("may_inject")
 def test_a_node_that_dies_of_it_again_and_again_repeats(server: ForkServer) -> None:
     outcome = PairFlyer(server).fly(spec(recurrence="intermittent", probability=0.002, register_class="gpr"))
     struck(outcome)
@@ -100,7 +95,6 @@ def test_a_node_that_dies_of_it_again_and_again_repeats(server: ForkServer) -> N
 
 
 @pytest.mark.soak
-@pytest.mark.usefixtures("may_inject")
 def test_a_thousand_strikes_cost_at_most_another_flight(server: ForkServer) -> None:
     """In turns, as the machine is busy; the least of each."""
     flyer = PairFlyer(server)
@@ -127,7 +121,6 @@ def test_a_thousand_strikes_cost_at_most_another_flight(server: ForkServer) -> N
     assert min(took["faulty"]) < 2 * min(took["golden"])
 
 
-@pytest.mark.usefixtures("may_inject")
 @pytest.mark.parametrize(
     ("changed", "problem"),
     [
