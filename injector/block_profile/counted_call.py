@@ -1,7 +1,7 @@
 """A call that is run block by block in translation, so that the passes through every instruction are counted.
 
-The copy of a node that runs it (:mod:`injector.block_profile.translated_code`) is of no use after it. It can be
-stopped before drawn passes.
+The copy of a node that runs it (:mod:`injector.block_profile.translated_code`) is of no use after it. It can
+be stopped before drawn passes.
 """
 
 from __future__ import annotations
