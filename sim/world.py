@@ -6,17 +6,32 @@ World frame: x east, y north, z up, metres.
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from services.models.safety import BODY_RADIUS_M
-from services.models.world import DRAWN_TOP_M, BoxWorld, ClusteredWorld, GridWorld, Point, WorldDefinition
+from services.models.world import (
+    DRAWN_TOP_M,
+    BoxWorld,
+    ClusteredWorld,
+    ForestWorld,
+    GatesWorld,
+    GridWorld,
+    Point,
+    TrafficWorld,
+    WorldDefinition,
+)
 from services.runtime.rng import generator
+from sim.generators import Scattered, scatter_forest, scatter_gates, scatter_traffic
+from sim.moving import NONE_MOVING, boxes_at, rows_of, swept
 
 Floats = NDArray[np.float64]
 
@@ -25,6 +40,8 @@ KEEP_OUT_M = 3.0
 
 ATTEMPTS = 1000
 """Draws after which a world that leaves the straight way free is given up."""
+
+DrawnWorld = GridWorld | ClusteredWorld | ForestWorld | GatesWorld | TrafficWorld
 
 DEFINITION: TypeAdapter[WorldDefinition] = TypeAdapter(WorldDefinition)
 
@@ -38,7 +55,8 @@ class World:
     """A mission's surroundings. All arrays are float64 and read-only.
 
     ``bounds`` is (2, 3): lower and upper corner of the space to fly in. ``obstacles`` is (n, 6):
-    lower corner x y z, upper corner x y z of axis-aligned boxes. ``start`` and ``goal`` are (3,).
+    lower corner x y z, upper corner x y z of axis-aligned boxes at time 0. The last m of them move, as
+    ``moving`` (m, 11) says (``sim/moving.py``). ``start`` and ``goal`` are (3,).
     """
 
     name: str
@@ -47,10 +65,21 @@ class World:
     obstacles: Floats
     start: Floats
     goal: Floats
+    moving: Floats = field(default_factory=lambda: NONE_MOVING)
 
     def __post_init__(self) -> None:
-        for array in (self.bounds, self.obstacles, self.start, self.goal):
+        for array in (self.bounds, self.obstacles, self.start, self.goal, self.moving):
             array.setflags(write=False)
+
+    @property
+    def fixed(self) -> Floats:
+        """The obstacles that stand, (n - m, 6)."""
+        return self.obstacles[: len(self.obstacles) - len(self.moving)]
+
+    def moved(self, time_s: float) -> Floats:
+        """The boxes of the moving obstacles at a virtual time, (m, 6)."""
+        boxes: Floats = boxes_at(self.moving, time_s)
+        return boxes
 
 
 def world_names() -> list[str]:
@@ -84,8 +113,10 @@ def make_world(asked: str | WorldDefinition, seed: int) -> World:
     wanted = definition(asked) if isinstance(asked, str) else asked
     _refuse_bad_area(wanted)
     start, goal = np.array(wanted.start), np.array(wanted.goal)
-    obstacles = _given(wanted) if isinstance(wanted, BoxWorld) else _drawn(wanted, seed, start, goal)
-    return World(wanted.name, seed, np.array([wanted.lower, wanted.upper]), obstacles, start, goal)
+    made = _given(wanted) if isinstance(wanted, BoxWorld) else _drawn(wanted, seed, start, goal)
+    obstacles = np.vstack([made.fixed, boxes_at(made.moving, 0.0)]) if len(made.moving) else made.fixed
+    bounds = np.array([wanted.lower, wanted.upper])
+    return World(wanted.name, seed, bounds, obstacles, start, goal, made.moving)
 
 
 def _refuse_bad_area(wanted: WorldDefinition) -> None:
@@ -99,47 +130,60 @@ def _refuse_bad_area(wanted: WorldDefinition) -> None:
             raise BadWorldError(message)
 
 
-def _within(place: Point, lower: Point, upper: Point) -> bool:
+def _within(place: Point, lower: Sequence[float], upper: Sequence[float]) -> bool:
     return all(low < value < high for low, value, high in zip(lower, place, upper, strict=True))
 
 
-def _given(wanted: BoxWorld) -> Floats:
-    """The boxes of a world made by hand, (n, 6)."""
-    for index, box in enumerate(wanted.boxes):
-        if any(low >= high for low, high in zip(box[:3], box[3:], strict=True)):
-            message = f"world {wanted.name}: boxes.{index} {_text(box)}: lower corner not below the upper"
-            raise BadWorldError(message)
-        for what, place in (("start", wanted.start), ("goal", wanted.goal)):
-            if _within(place, box[:3], box[3:]):
-                message = f"world {wanted.name}: {what} {_text(place)} is inside boxes.{index} {_text(box)}"
-                raise BadWorldError(message)
-    if not wanted.boxes:
+def _given(wanted: BoxWorld) -> Scattered:
+    """The boxes of a world made by hand."""
+    moving = rows_of(wanted.moving)
+    boxes = {f"boxes.{index}": box for index, box in enumerate(wanted.boxes)}
+    _refuse_bad_boxes(wanted, boxes)
+    _refuse_bad_boxes(wanted, {f"moving.{index}.box": one.box for index, one in enumerate(wanted.moving)})
+    ways = {f"the way of moving.{index}": tuple(box) for index, box in enumerate(swept(moving).tolist())}
+    _refuse_bad_boxes(wanted, ways)
+    if not boxes and not wanted.moving:
         message = f"world {wanted.name}: boxes []: a world without obstacles"
         raise BadWorldError(message)
-    return np.array(wanted.boxes, dtype=np.float64)
+    return Scattered(np.array(wanted.boxes, dtype=np.float64).reshape(-1, 6), moving)
 
 
-def _drawn(wanted: GridWorld | ClusteredWorld, seed: int, start: Floats, goal: Floats) -> Floats:
-    """Obstacles (n, 6) with start and goal kept free and something in the straight way."""
-    if wanted.density == 0.0:
+def _refuse_bad_boxes(wanted: BoxWorld, boxes: Mapping[str, tuple[float, ...]]) -> None:
+    for named, box in boxes.items():
+        low, high = box[:3], box[3:]
+        if any(below >= above for below, above in zip(low, high, strict=True)):
+            message = f"world {wanted.name}: {named} {_text(box)}: lower corner not below the upper"
+            raise BadWorldError(message)
+        for what, place in (("start", wanted.start), ("goal", wanted.goal)):
+            if _within(place, low, high):
+                message = f"world {wanted.name}: {what} {_text(place)} is inside {named} {_text(box)}"
+                raise BadWorldError(message)
+
+
+def _drawn(wanted: DrawnWorld, seed: int, start: Floats, goal: Floats) -> Scattered:
+    """Obstacles with start and goal kept free and something in the straight way."""
+    if isinstance(wanted, GridWorld | ClusteredWorld) and wanted.density == 0.0:
         message = f"world {wanted.name}: density 0: a world without obstacles"
         raise BadWorldError(message)
-    scatter = _scatter_grid if isinstance(wanted, GridWorld) else _scatter_clusters
+    scatter = GENERATORS[wanted.kind]
     for attempt in range(ATTEMPTS):
-        obstacles = scatter(wanted, generator(seed, f"world {wanted.name}", attempt))  # type: ignore[arg-type]
-        near = meets(obstacles, start, start, KEEP_OUT_M) | meets(obstacles, goal, goal, KEEP_OUT_M)
-        obstacles = np.ascontiguousarray(obstacles[~near])
-        if meets(obstacles, start, goal, BODY_RADIUS_M).any():
-            return obstacles
-    message = (
-        f"world {wanted.name}: density {wanted.density:g}, obstacle_m {wanted.obstacle_m:g}:"
-        f" none of {ATTEMPTS} draws puts an obstacle in the straight way"
-    )
+        drawn = scatter(wanted, generator(seed, f"world {wanted.name}", attempt))
+        near = _near_the_ends(drawn.fixed, start, goal)
+        fixed = np.ascontiguousarray(drawn.fixed[~near])
+        moving = np.ascontiguousarray(drawn.moving[~_near_the_ends(swept(drawn.moving), start, goal)])
+        if meets(np.vstack([fixed, swept(moving)]), start, goal, BODY_RADIUS_M).any():
+            return Scattered(fixed, moving)
+    what = ", ".join(f"{name} {value:g}" for name, value in wanted if name in _STATED and value is not None)
+    message = f"world {wanted.name}: {what}: none of {ATTEMPTS} draws puts an obstacle in the straight way"
     raise BadWorldError(message)
 
 
-def _scatter_grid(grid: GridWorld, rng: np.random.Generator) -> Floats:
-    """Boxes (n, 6), each at a uniform position inside its cell, in the order of the cells."""
+def _near_the_ends(boxes: Floats, start: Floats, goal: Floats) -> NDArray[np.bool_]:
+    return meets(boxes, start, start, KEEP_OUT_M) | meets(boxes, goal, goal, KEEP_OUT_M)
+
+
+def _scatter_grid(grid: GridWorld, rng: np.random.Generator) -> Scattered:
+    """Boxes, each at a uniform position inside its cell, in the order of the cells."""
     if grid.obstacle_m > grid.cell_m:
         message = f"world {grid.name}: obstacle_m {grid.obstacle_m:g} does not fit cell_m {grid.cell_m:g}"
         raise BadWorldError(message)
@@ -147,11 +191,11 @@ def _scatter_grid(grid: GridWorld, rng: np.random.Generator) -> Floats:
     occupied = rng.random((columns, rows)) < grid.density
     offset = rng.uniform(0.0, grid.cell_m - grid.obstacle_m, (columns, rows, 2))
     corner = np.argwhere(occupied) * grid.cell_m + np.array(grid.lower[:2]) + offset[occupied]
-    return _towers(grid, corner)
+    return Scattered(_towers(grid, corner))
 
 
-def _scatter_clusters(wanted: ClusteredWorld, rng: np.random.Generator) -> Floats:
-    """Boxes (n, 6) on a grid whose cells hold an obstacle and half a gap on each side."""
+def _scatter_clusters(wanted: ClusteredWorld, rng: np.random.Generator) -> Scattered:
+    """Boxes on a grid whose cells hold an obstacle and half a gap on each side."""
     pitch = wanted.obstacle_m + wanted.gap_m
     columns, rows = _cells(wanted, pitch)
     # The grid begins anywhere within its first cell, or its rows would be the same in every draw.
@@ -160,7 +204,7 @@ def _scatter_clusters(wanted: ClusteredWorld, rng: np.random.Generator) -> Float
     centre = corner + wanted.obstacle_m / 2
     off = np.linalg.norm(centre[:, :, None, :] - np.array(wanted.centroids), axis=-1).min(axis=-1)
     probability = wanted.density * np.exp(-0.5 * (off / wanted.spread_m) ** 2)
-    return _towers(wanted, corner[rng.random((columns, rows)) < probability])
+    return Scattered(_towers(wanted, corner[rng.random((columns, rows)) < probability]))
 
 
 def _cells(wanted: GridWorld | ClusteredWorld, cell_m: float) -> tuple[int, int]:
@@ -177,6 +221,20 @@ def _towers(wanted: GridWorld | ClusteredWorld, corner: Floats) -> Floats:
     """Square towers (n, 6) on the ground from lower corners (n, 2)."""
     ground = np.full((len(corner), 1), wanted.lower[2])
     return np.hstack([corner, ground, corner + wanted.obstacle_m, ground + DRAWN_TOP_M])
+
+
+GENERATORS: Mapping[str, Callable[[Any, np.random.Generator], Scattered]] = MappingProxyType(
+    {
+        "grid": _scatter_grid,
+        "clustered": _scatter_clusters,
+        "forest": scatter_forest,
+        "gates": scatter_gates,
+        "traffic": scatter_traffic,
+    }
+)
+"""By kind: what draws the obstacles of a world."""
+
+_STATED = ("density", "obstacle_m", "difficulty", "stems_per_ha", "clearance_m", "movers")
 
 
 def _text(numbers: tuple[float, ...]) -> str:
@@ -212,8 +270,17 @@ def to_toml(world: World) -> str:
         f"lower = {numbers(world.bounds[0])}",
         f"upper = {numbers(world.bounds[1])}",
         "boxes = [",
-        *(f"  {numbers(box)}," for box in world.obstacles),
+        *(f"  {numbers(box)}," for box in world.fixed),
         "]",
-        "",
     ]
+    for one in world.moving:
+        lines += [
+            "",
+            "[[moving]]",
+            f"box = {numbers(one[:6])}",
+            f"travel_m = {numbers(one[6:9])}",
+            f"period_s = {float(one[9])!r}",
+            f"phase = {float(one[10])!r}",
+        ]
+    lines.append("")
     return "\n".join(lines)

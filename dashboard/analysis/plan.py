@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,10 @@ CELL_M = 10.0
 
 _PAPER, _GRID, _GROUND = 0xFFFFFF, 0xE4E8EC, 0xF7F8F9
 _START, _GOAL, _HALO = 0x2E8B57, 0xC0392B, 0xD9E4F0
+_MOVING = 0xC26A1B
+
+THINNEST_M = 0.25
+"""Thinner obstacles are drawn this thick, or they would not be seen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +53,8 @@ class Disc:
 Shape = Rectangle | Disc
 
 
-def shapes(world: World) -> list[Shape]:
-    """What a plan shows, from the ground up."""
+def shapes(world: World, time_s: float | None = 0.0) -> list[Shape]:
+    """What a plan shows at a virtual time, from the ground up; None leaves out what moves, not its ways."""
     (left, south), (right, north) = world.bounds[:, :2].tolist()
     drawn: list[Shape] = [Rectangle(left, south, right, north, _GROUND)]
     drawn += [
@@ -63,10 +68,31 @@ def shapes(world: World) -> list[Shape]:
     ends = ((world.start, _START), (world.goal, _GOAL))
     drawn += [Disc(float(end[0]), float(end[1]), BODY_RADIUS_M, _HALO) for end, _ in ends]
     ceiling = float(world.bounds[1, 2])
-    for x0, y0, _, x1, y1, top in world.obstacles.tolist():
-        drawn.append(Rectangle(x0, y0, x1, y1, _shade(top / ceiling)))
+    drawn += [_seen(box, _shade(box[5] / ceiling)) for box in world.fixed.tolist()]
+    drawn += [dot for row in world.moving.tolist() for dot in _way(row)]
+    if time_s is not None:
+        drawn += moving_shapes(world, time_s)
     drawn += [Disc(float(end[0]), float(end[1]), 0.8, colour) for end, colour in ends]
     return drawn
+
+
+def moving_shapes(world: World, time_s: float) -> list[Shape]:
+    """The moving obstacles at a virtual time."""
+    return [_seen(box, _MOVING) for box in world.moved(time_s).tolist()]
+
+
+def _seen(box: Sequence[float], colour: int) -> Rectangle:
+    x0, y0, _, x1, y1, _ = box
+    wider, higher = (max(THINNEST_M - size, 0.0) / 2 for size in (x1 - x0, y1 - y0))
+    return Rectangle(x0 - wider, y0 - higher, x1 + wider, y1 + higher, colour)
+
+
+def _way(row: Sequence[float]) -> Iterator[Disc]:
+    """Dots along the way of a moving obstacle, a metre apart."""
+    x, y = (row[0] + row[3]) / 2, (row[1] + row[4]) / 2
+    count = int(np.hypot(row[6], row[7])) + 2
+    for part in np.linspace(0.0, 1.0, count).tolist():
+        yield Disc(x + part * row[6], y + part * row[7], 0.15, _MOVING)
 
 
 def _shade(height: float) -> int:
@@ -88,13 +114,13 @@ def svg(world: World) -> str:
     size = f'width="{width * PIXELS_PER_M:g}" height="{height * PIXELS_PER_M:g}"'
     opening = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{view}" {size}>'
     title = f"<title>{world.name}, seed {world.seed}</title>"
-    return "\n".join([opening, title, *svg_elements(world), "</svg>", ""])
+    return "\n".join([opening, title, *svg_elements(shapes(world)), "</svg>", ""])
 
 
-def svg_elements(world: World) -> list[str]:
-    """The shapes of the plan as SVG elements, from the ground up."""
+def svg_elements(drawn: Sequence[Shape]) -> list[str]:
+    """Shapes as SVG elements, from the ground up."""
     lines = []
-    for shape in shapes(world):
+    for shape in drawn:
         fill = f'fill="#{shape.colour:06x}"'
         if isinstance(shape, Rectangle):
             size = f'width="{shape.x1 - shape.x0:.3f}" height="{shape.y1 - shape.y0:.3f}"'

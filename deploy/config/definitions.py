@@ -15,6 +15,7 @@ from detector.schemes.model_files import read_model
 from detector.schemes.registry import load_detector
 from services.models.fault_spec import MaskHistogram
 from services.models.mission import MissionSpec
+from sim.world import BadWorldError, definition
 
 _LONGEST_FIRST_LINE = 256
 _DEFINED = ("world", "airframe", "platform")
@@ -49,6 +50,8 @@ def inlined(fields: Mapping[str, Any]) -> dict[str, Any]:
 def _inlined(field: str, value: Any) -> Any:
     if field in _DEFINED and isinstance(value, str) and value.endswith(".toml"):
         return _content(field, value)
+    if field == "world" and isinstance(value, str) and "," in value:
+        return world_with(value)
     if field == "stack" and isinstance(value, str):
         return own_stack(Path(value))
     if field == "fault" and isinstance(value, dict) and isinstance(value.get("histogram"), str):
@@ -69,6 +72,34 @@ def _histogram(path: str) -> dict[str, Any]:
         message = f"{path}: {one_line(error)}"
         raise BadSpecError(message) from error
     return given
+
+
+def world_with(text: str) -> dict[str, Any]:
+    """The definition of a world that comes along with other parameters: ``NAME,FIELD=NUMBER[,...]``.
+
+    Its name tells them apart: ``forest,difficulty=0.8`` is called ``forest-0.8``, other parameters with
+    their names.
+
+    :raises BadSpecError: if there is no such world or parameter.
+    """
+    name, *settings = text.split(",")
+    try:
+        fields = definition(name).model_dump(exclude_unset=True)
+    except BadWorldError as error:
+        raise BadSpecError(str(error)) from error
+    for setting in settings:
+        parameter, _, number = setting.partition("=")
+        try:
+            fields[parameter] = tomllib.loads(f"number = {number}")["number"]
+        except tomllib.TOMLDecodeError as error:
+            message = f"world {text!r}: {setting!r} is not FIELD=NUMBER, as in forest,difficulty=0.8"
+            raise BadSpecError(message) from error
+        if not isinstance(fields[parameter], int | float):
+            message = f"world {text!r}: {parameter} is to be a number; write a file for anything else"
+            raise BadSpecError(message)
+        name += f"-{number}" if parameter == "difficulty" else f"-{parameter}-{number}"
+    fields["name"] = name
+    return _checked("world", text, fields)
 
 
 def own_stack(file: Path) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from services.bus.octomaps import SEEN_OCCUPIED, known
 from services.bus.topics import TOPICS
 from services.models.mission import MissionSpec
 from services.models.safety import BODY_RADIUS_M
-from sim.world import make_world
+from sim.world import World, make_world
 
 TYPES: Mapping[str, str] = MappingProxyType(
     {
@@ -37,12 +37,16 @@ TYPES: Mapping[str, str] = MappingProxyType(
         "tf": "tf2_msgs/msg/TFMessage",
         "pose": "geometry_msgs/msg/PoseStamped",
         "obstacles": "visualization_msgs/msg/MarkerArray",
+        "moving_obstacles": "visualization_msgs/msg/MarkerArray",
         "vehicle": "visualization_msgs/msg/MarkerArray",
         "planned_path": "nav_msgs/msg/Path",
         "occupied": "sensor_msgs/msg/PointCloud2",
     }
 )
 """What is added to a recording, and its type."""
+
+MOVING_PERIOD_NS = 200_000_000
+"""Between two messages of where the moving obstacles are."""
 
 MAP_PERIOD_NS = 1_000_000_000
 """Between two clouds of the occupied voxels: most of them are in the cloud before as well."""
@@ -51,7 +55,7 @@ _OPTICAL = np.array([0.5, -0.5, 0.5, -0.5])
 """(w, x, y, z): takes the camera's axes to the body's, x forwards and z up."""
 
 _MarkerArray = TYPESTORE.types["visualization_msgs/msg/MarkerArray"]
-_GREY, _ORANGE = (0.6, 0.6, 0.65, 1.0), (1.0, 0.55, 0.1, 1.0)
+_GREY, _ORANGE, _BROWN = (0.6, 0.6, 0.65, 1.0), (1.0, 0.55, 0.1, 1.0), (0.76, 0.42, 0.11, 1.0)
 
 
 class Shape(NamedTuple):
@@ -70,9 +74,11 @@ class Visualization:
         self._counts = dict.fromkeys(TYPES, 0)
         self._space: tuple[Floats, Floats] | None = None
         self._next_map_ns = 0
+        self._moving: World | None = None
+        self._next_moving_ns = 0
         self._makers: Mapping[str, Callable[[int, Any], Iterator[tuple[str, Any]]]] = {
             "goal": self._world,
-            "odometry": _pose,
+            "odometry": self._at,
             "trajectory": _path,
             "map": self._occupied,
         }
@@ -95,14 +101,21 @@ class Visualization:
     def _world(self, at_ns: int, goal: Any) -> Iterator[tuple[str, Any]]:
         self._space = xyz(goal.lower), xyz(goal.upper)
         at = header(at_ns, "map")
-        boxes = make_world(self._spec.world, self._spec.seed).obstacles
-        shapes = [Shape(Marker.CUBE, (box[:3] + box[3:]) / 2, box[3:] - box[:3]) for box in boxes]
-        yield "obstacles", _markers(at, "obstacles", shapes, _GREY)
+        world = make_world(self._spec.world, self._spec.seed)
+        self._moving = world if len(world.moving) else None
+        yield "obstacles", _markers(at, "obstacles", _cubes(world.fixed), _GREY)
         hull = Shape(Marker.SPHERE, np.zeros(3), np.full(3, 2 * BODY_RADIUS_M) * (1.0, 1.0, 0.2))
         yield "vehicle", _markers(header(at_ns, "body"), "vehicle", [hull], _ORANGE)
         turn = Transform(translation=vector(np.zeros(3)), rotation=quaternion(_OPTICAL))
         mounted = TransformStamped(header=header(at_ns, "body"), child_frame_id="camera", transform=turn)
         yield "tf_static", Transforms(transforms=[mounted])
+
+    def _at(self, at_ns: int, odometry: Any) -> Iterator[tuple[str, Any]]:
+        yield from _pose(odometry)
+        if self._moving is not None and at_ns >= self._next_moving_ns:
+            self._next_moving_ns = at_ns + MOVING_PERIOD_NS
+            cubes = _cubes(self._moving.moved(at_ns / 1e9))
+            yield "moving_obstacles", _markers(header(at_ns, "map"), "moving_obstacles", cubes, _BROWN)
 
     def _occupied(self, at_ns: int, octomap: Any) -> Iterator[tuple[str, Any]]:
         if self._space is None or at_ns < self._next_map_ns:
@@ -116,7 +129,11 @@ class Visualization:
         yield "occupied", cloud_message(header(at_ns, "map"), (cells * resolution_m).astype(np.float32))
 
 
-def _pose(_at_ns: int, odometry: Any) -> Iterator[tuple[str, Any]]:
+def _cubes(boxes: Floats) -> list[Shape]:
+    return [Shape(Marker.CUBE, (box[:3] + box[3:]) / 2, box[3:] - box[:3]) for box in boxes]
+
+
+def _pose(odometry: Any) -> Iterator[tuple[str, Any]]:
     state(odometry)  # refuses what is no pose
     pose = odometry.pose.pose
     moved = Transform(translation=vector(xyz(pose.position)), rotation=pose.orientation)

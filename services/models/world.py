@@ -61,11 +61,74 @@ class ClusteredWorld(_Surroundings):
     gap_m: float = Field(ge=0, le=1000)
 
 
+class _GradedWorld(_Surroundings):
+    """Generators with a difficulty: other parameters follow from it unless they are given.
+
+    The area is what the planner searches: 25 m beyond start and goal (``services/planning/pilot.py``).
+    """
+
+    lower: Point = (-40.0, -20.0, 0.0)
+    upper: Point = (40.0, 30.0, 10.0)
+    difficulty: float = Field(default=0.5, ge=0, le=1)
+
+
+class ForestWorld(_GradedWorld):
+    """Thin and cluttered: trees with trunks of ``trunk_m`` at least ``gap_m`` apart, and level branches.
+
+    Trunks and branches are square; ``branches`` is the mean number at a tree.
+    """
+
+    kind: Literal["forest"]
+    stems_per_ha: float | None = Field(default=None, gt=0, le=10_000)
+    trunk_m: float | None = Field(default=None, ge=0.02, le=10)
+    gap_m: float | None = Field(default=None, ge=0, le=100)
+    branches: float | None = Field(default=None, ge=0, le=20)
+
+
+class GatesWorld(_GradedWorld):
+    """Walls across the way with one gate each, ``clearance_m`` wider than the safety body on either side.
+
+    Middles of gates lie up to ``shift_m`` beside the straight way.
+    """
+
+    kind: Literal["gates"]
+    walls: int | None = Field(default=None, ge=1, le=20)
+    clearance_m: float | None = Field(default=None, ge=0, le=20)
+    shift_m: float | None = Field(default=None, ge=0, le=1000)
+
+
+class TrafficWorld(_GradedWorld):
+    """Obstacles that cross the way back and forth, at up to ``speed_m_s``, among pillars that stand."""
+
+    kind: Literal["traffic"]
+    movers: int | None = Field(default=None, ge=1, le=100)
+    speed_m_s: float | None = Field(default=None, gt=0, le=20)
+    obstacle_m: float = Field(default=1.5, gt=0, le=100)
+    pillars: int = Field(default=4, ge=0, le=1000)
+
+
+class MovingBox(Strict):
+    """A box that goes back and forth at a constant speed.
+
+    ``box`` is where it is at one end of its line, ``travel_m`` the way from there to the other end. It
+    takes ``period_s`` to go and come back; at time 0 it is ``phase`` of a period after that end.
+    """
+
+    box: Box
+    travel_m: Point
+    period_s: float = Field(gt=0, le=1e6)
+    phase: float = Field(default=0.0, ge=0, lt=1)
+
+
 class BoxWorld(_Surroundings):
     """A world made by hand or exported: axis-aligned boxes, lower corner x y z, upper corner x y z."""
 
     kind: Literal["boxes"]
     boxes: tuple[Box, ...] = Field(max_length=100_000)
+    moving: tuple[MovingBox, ...] = Field(default=(), max_length=1000)
 
 
-WorldDefinition = Annotated[GridWorld | ClusteredWorld | BoxWorld, Field(discriminator="kind")]
+WorldDefinition = Annotated[
+    GridWorld | ClusteredWorld | ForestWorld | GatesWorld | TrafficWorld | BoxWorld,
+    Field(discriminator="kind"),
+]

@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from services.models.outcome import QoF
+from sim.moving import boxes_at
 from sim.vehicle.airframe import Airframe
 from sim.vehicle.energy import PowerModel, momentum_w, power_model, regression_w
 from sim.world import World
@@ -36,7 +37,7 @@ class FlightMeter:
     """Adds up a flight from its tracks, in the order in which :meth:`Vehicle.advance` returns them."""
 
     def __init__(self, world: World, airframe: Airframe, energy: str = "airframe") -> None:
-        self._obstacles = world.obstacles
+        self._fixed, self._moving = np.ascontiguousarray(world.fixed), world.moving
         self._battery_j = airframe.battery_kj * 1000
         self._power = power_model(airframe, energy)
         self._hull = Hull(airframe.hull_radius_m, airframe.hull_height_m / 2)
@@ -48,7 +49,7 @@ class FlightMeter:
 
         Its first row is the last one of the stretch before.
         """
-        self._totals = measure(self._totals, track, self._obstacles, self._hull, self._power)
+        self._totals = measure(self._totals, track, self._fixed, self._moving, self._hull, self._power)
         self._time_s = float(track[-1, 0])
 
     def qof(self, *, success: bool, replans: int) -> QoF:
@@ -84,15 +85,20 @@ def hull_clearance(position: Floats, obstacles: Floats, hull: Hull) -> float:
 
 
 @njit(cache=True)
-def measure(before: Totals, track: Floats, obstacles: Floats, hull: Hull, power: PowerModel) -> Totals:
-    """``before`` and a track (n, 14) together; arguments as in :meth:`FlightMeter.add`.
+def measure(
+    before: Totals, track: Floats, fixed: Floats, moving: Floats, hull: Hull, power: PowerModel
+) -> Totals:
+    """``before`` and a track (n, 14) together, among boxes that stand (k, 6) and obstacles that move (m, 11).
 
     Between two rows the vehicle moves with their mean velocity and the acceleration that leads from
     one velocity to the other.
     """
     distance, energy, clearance = before.distance_m, before.energy_j, before.min_clearance_m
     for k in range(len(track)):
-        clearance = min(clearance, hull_clearance(track[k, 1:4], obstacles, hull))
+        clearance = min(clearance, hull_clearance(track[k, 1:4], fixed, hull))
+        if len(moving):
+            there = boxes_at(moving, track[k, 0])
+            clearance = min(clearance, hull_clearance(track[k, 1:4], there, hull))
         if k == 0:
             continue
         old, new = track[k - 1], track[k]

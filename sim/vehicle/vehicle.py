@@ -24,6 +24,8 @@ STEP_S = 0.004
 
 TRACK_WIDTH = 14
 
+_MOVING = ".85 .4 .1 1"
+
 
 class PhysicsDivergedError(RuntimeError):
     """The state of the vehicle is no longer finite: a bug of the simulator, whatever the command."""
@@ -32,13 +34,17 @@ class PhysicsDivergedError(RuntimeError):
 def mjcf(world: World, airframe: Airframe) -> str:
     """The MuJoCo model of ``airframe`` in ``world``, as MJCF text.
 
-    Bodies: the fixed world (ground and obstacles) and ``hull``, a free body. Only the hull is tested
-    for contact, against everything else. Each rotor is a thrust along its axis with the reaction
-    torque as a fixed part of it, behind a first-order lag. Euler's method is enough: at 4 ms its
-    error is far below what the flight controller corrects.
+    Bodies: the fixed world (ground and obstacles), obstacles that move, and ``hull``, a free
+    body. Only the hull is tested for contact, against everything else. Each rotor is a thrust along
+    its axis with the reaction torque as a fixed part of it, behind a first-order lag. Euler's method is
+    enough: at 4 ms its error is far below what the flight controller corrects.
     """
     inertia = " ".join(map(repr, airframe.inertia_kg_m2))
-    boxes = "\n".join(map(_box, world.obstacles))
+    boxes = "\n".join(map(_box, world.fixed))
+    movers = "\n".join(
+        f'<body name="mover{i}" mocap="true">{_box(box - np.tile(centre, 2), _MOVING)}</body>'
+        for i, (box, centre) in enumerate(zip(world.moved(0.0), _centres(world, 0.0), strict=True))
+    )
     lever, torque = airframe.lever_m, airframe.torque_per_thrust_m
     sites = "\n".join(
         f'<site name="rotor{i}" pos="{x * lever!r} {y * lever!r} 0"/>' for i, (x, y, _) in enumerate(ROTORS)
@@ -58,6 +64,7 @@ def mjcf(world: World, airframe: Airframe) -> str:
   <worldbody>
     <geom name="ground" type="plane" size="0 0 1" contype="0" conaffinity="1" rgba=".45 .55 .4 1"/>
 {boxes}
+{movers}
     <body name="hull">
       <freejoint/>
       <inertial pos="0 0 0" mass="{airframe.mass_kg!r}" diaginertia="{inertia}"/>
@@ -74,10 +81,16 @@ def mjcf(world: World, airframe: Airframe) -> str:
 """
 
 
-def _box(corners: Floats) -> str:
+def _box(corners: Floats, colour: str = ".6 .45 .35 1") -> str:
     centre = " ".join(repr(float(value)) for value in (corners[:3] + corners[3:]) / 2)
     half = " ".join(repr(float(value)) for value in (corners[3:] - corners[:3]) / 2)
-    return f'<geom type="box" pos="{centre}" size="{half}" contype="0" conaffinity="1" rgba=".6 .45 .35 1"/>'
+    return f'<geom type="box" pos="{centre}" size="{half}" contype="0" conaffinity="1" rgba="{colour}"/>'
+
+
+def _centres(world: World, time_s: float) -> Floats:
+    """Where the middles of the moving obstacles are at a virtual time, (m, 3)."""
+    boxes = world.moved(time_s)
+    return (boxes[:, :3] + boxes[:, 3:]) / 2
 
 
 class Vehicle:
@@ -106,6 +119,8 @@ class Vehicle:
         self._push: Floats = self.data.xfrc_applied[self.hull, :3]
         self._air = air
         self._motor_fault = motor_fault
+        self._world = world
+        self._moving = bool(len(world.moving))
 
         towards = world.goal - world.start
         yaw = atan2(towards[1], towards[0])
@@ -113,6 +128,7 @@ class Vehicle:
         self._pose[3:] = (cos(yaw / 2), 0.0, 0.0, sin(yaw / 2))
         self._thrust[:] = airframe.weight_n / len(ROTORS)
         self.data.act[:] = self._thrust
+        self._move_obstacles()
         mujoco.mj_forward(self.model, self.data)
         self._autopilot = Autopilot(airframe, STEP_S, yaw)
 
@@ -141,16 +157,25 @@ class Vehicle:
             autopilot.update(pose, twist, thrust)
             if self._motor_fault is not None:
                 self._motor_fault.strike(self.steps, thrust)
+            self._move_obstacles()
             mujoco.mj_step(model, data)
             # Contacts are found where the step began.
             if data.ncon and self.contact_step is None:
                 self.contact_step = self.steps
             self.steps += 1
             row[1:4], row[4:10], row[10:] = position, twist, attitude
+        if self._moving:
+            self._move_obstacles()
+            mujoco.mj_kinematics(model, data)  # or sensors would see them where the last step began
         if not np.isfinite(track).all():
             message = f"state not finite after {self.steps} steps"
             raise PhysicsDivergedError(message)
         return track
+
+    def _move_obstacles(self) -> None:
+        """Put the moving obstacles where they are now; contacts and sensors meet them there."""
+        if self._moving:
+            self.data.mocap_pos[:] = _centres(self._world, self.time_s)
 
     @property
     def time_s(self) -> float:

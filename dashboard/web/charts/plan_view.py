@@ -7,7 +7,7 @@ from typing import Literal
 
 from nicegui import ui
 
-from dashboard.analysis.plan import svg_elements, view_box
+from dashboard.analysis.plan import moving_shapes, shapes, svg_elements, view_box
 from dashboard.web.charts.flight_style import ALARM
 from dashboard.web.charts.scene_view import Floats
 from sim.world import World
@@ -43,7 +43,7 @@ class PlanView:
                 name: ui.html("", sanitize=False).classes(f"layer layer-{name}") for name in LAYERS
             }
         ends = (_named(world.start.tolist(), "start"), _named(world.goal.tolist(), "goal"))
-        self.draw("ground", *svg_elements(world), *ends)
+        self.draw("ground", *svg_elements(shapes(world, None)), *ends)
 
     def draw(self, layer: str, *shapes: str) -> None:
         """Replace the content of a layer."""
@@ -86,6 +86,11 @@ def path(points: Sequence[Xy], colour: str, *, dashed: bool = False) -> str:
         f'<polyline points="{places}" fill="none" stroke="{colour}" stroke-width="0.6"'
         f' stroke-linejoin="round"{dashes}/>'
     )
+
+
+def moving_obstacles(world: World, time_s: float) -> list[str]:
+    """Draw the obstacles that move, where they are at a virtual time."""
+    return svg_elements(moving_shapes(world, time_s))
 
 
 def vehicle(point: Xy, colour: str) -> str:

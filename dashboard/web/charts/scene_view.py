@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from nicegui import ui
+from nicegui.elements.scene.objects.box import Box
 from nicegui.elements.scene.objects.point_cloud import PointCloud
 from nicegui.elements.scene.objects.sphere import Sphere
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ SPACING_M = 0.15
 
 FRAMES_PER_S = 8
 """It is drawn all the time, and where there is no graphics card by the processor that also flies."""
+
+MOVING = "#c26a1b"
+"""Colour of obstacles that move."""
 
 MOST_POINTS = 4000
 MOST_BOXES = 600
@@ -42,6 +46,8 @@ class SceneView:
     def __init__(self, described: str) -> None:
         self._paths: dict[str, PointCloud] = {}
         self._vehicles: dict[str, Sphere] = {}
+        self._world: World | None = None
+        self._moving: list[Box] = []
         self.element = ui.scene(grid=False, background_color="#9fb3c8", fps=FRAMES_PER_S).classes("scene")
         self.element.props('role="img"').props["aria-label"] = described
 
@@ -53,14 +59,14 @@ class SceneView:
         self.element.clear()
         self._paths.clear()
         self._vehicles.clear()
+        self._world = world
         (left, south, floor), (right, north, _) = world.bounds.tolist()
         centre, span = ((left + right) / 2, (south + north) / 2), max(right - left, north - south)
         with self.element as scene:
             scene.box(right - left, north - south, 0.1).move(*centre, floor - 0.05).material("#e8ecf0")
-            for x0, y0, z0, x1, y1, z1 in world.obstacles[:MOST_BOXES].tolist():
-                top = min(z1, float(world.bounds[1, 2]))
-                box = scene.box(x1 - x0, y1 - y0, top - z0)
-                box.move((x0 + x1) / 2, (y0 + y1) / 2, (z0 + top) / 2).material("#6b7886", opacity=0.9)
+            for box in world.fixed[:MOST_BOXES]:
+                _box(scene, box, world).material("#6b7886", opacity=0.9)
+            self._moving = [_box(scene, box, world).material(MOVING, opacity=0.9) for box in world.moved(0.0)]
             for end, colour in ((world.start, RECOMPUTED), (world.goal, GOLDEN)):
                 x, y, z = end.tolist()
                 scene.sphere(BODY_RADIUS_M).move(x, y, z).material(colour, opacity=0.25)
@@ -70,6 +76,13 @@ class SceneView:
             span = min(span, _MARGIN * max(float(np.max((high - low)[:2])), _LEAST_M))
         x, y = centre
         scene.move_camera(x, y - 0.58 * span, 0.4 * span, x, y - 0.08 * span, 0.0, duration=0)
+
+    def move_obstacles(self, time_s: float) -> None:
+        """Have the obstacles that move be where they are at a virtual time."""
+        if self._world is None or not self._moving:
+            return
+        for box, shown in zip(self._world.moved(time_s), self._moving, strict=True):
+            shown.move(*_middle(_as_drawn(box, self._world)))
 
     def draw_path(self, name: str, points: Sequence[Xyz], colour: str) -> None:
         """Draw a path of that name, or draw it anew."""
@@ -86,6 +99,24 @@ class SceneView:
             with self.element as scene:
                 self._vehicles[name] = scene.sphere(_VEHICLE_M).material(colour)
         self._vehicles[name].move(*point)
+
+
+def _as_drawn(box: Floats, world: World) -> Floats:
+    """An obstacle up to the flight ceiling."""
+    return np.minimum(box, [np.inf] * 5 + [world.bounds[1, 2]])
+
+
+def _middle(box: Floats) -> tuple[float, float, float]:
+    x0, y0, z0, x1, y1, z1 = box.tolist()
+    return (x0 + x1) / 2, (y0 + y1) / 2, (z0 + z1) / 2
+
+
+def _box(scene: ui.scene, obstacle: Floats, world: World) -> Box:
+    drawn = _as_drawn(obstacle, world)
+    x0, y0, z0, x1, y1, z1 = drawn.tolist()
+    box = scene.box(x1 - x0, y1 - y0, z1 - z0)
+    box.move(*_middle(drawn))
+    return box
 
 
 def resampled(points: Floats) -> Floats:

@@ -21,7 +21,7 @@ from dashboard.campaigns.store.queries import Campaign, UnknownCampaignError
 from dashboard.web.charts.curves import Chart, Curve
 from dashboard.web.charts.flight_style import GOLDEN, INJECTED, RECOMPUTED, STRUCK
 from dashboard.web.charts.pictures import depth_picture, map_picture
-from dashboard.web.charts.plan_view import PlanView, path, vehicle
+from dashboard.web.charts.plan_view import PlanView, moving_obstacles, path, vehicle
 from dashboard.web.charts.scene_view import SceneView
 from dashboard.web.components.flight_forms import fault_form, flight_form
 from dashboard.web.components.frame import REFUSED, absent, ask, frame, nothing, plain, section, trouble
@@ -297,7 +297,9 @@ class _Watched:
         self._scene.move("vehicle", present.position_m, colour)
         paths = [path(one.points, self._colours[one.twin]) for one in self._tracks.values()]
         self._plan.draw("paths", *paths)
-        self._plan.draw("now", vehicle(present.position_m, colour))
+        self._scene.move_obstacles(present.time_s)
+        moving = moving_obstacles(self._world, present.time_s)
+        self._plan.draw("now", *moving, vehicle(present.position_m, colour))
         self._chart.show(track.commands())
 
     async def _see(self, sight: FlightSnapshot) -> None:

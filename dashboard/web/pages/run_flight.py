@@ -16,7 +16,7 @@ from dashboard.api.routes.recordings import Recordings
 from dashboard.web.charts import run_data
 from dashboard.web.charts.curves import Chart, Curve
 from dashboard.web.charts.flight_style import STRUCK
-from dashboard.web.charts.plan_view import PlanView, alarm, cross, path, vehicle
+from dashboard.web.charts.plan_view import PlanView, alarm, cross, moving_obstacles, path, vehicle
 from dashboard.web.charts.run_data import COLOURS, FlownPath, Messages
 from dashboard.web.charts.scene_view import SceneView
 from dashboard.web.components.frame import section
@@ -208,7 +208,9 @@ class _Views:
         at = {name: one.at(time_s) for name, one in self._ways.items() if len(one.times_s)}
         for name, point in at.items():
             self._scene.move(name, point.tolist(), COLOURS[name])
-        self._plan.draw("now", *(vehicle(point.tolist(), COLOURS[name]) for name, point in at.items()))
+        self._scene.move_obstacles(time_s)
+        vehicles = [vehicle(point.tolist(), COLOURS[name]) for name, point in at.items()]
+        self._plan.draw("now", *moving_obstacles(self._flights.world, time_s), *vehicles)
         for chart in self._charts:
             chart.point_at(time_s)
         places = [f"{name} at ({x:.2f}, {y:.2f}, {z:.2f}) m" for name, (x, y, z) in at.items()]
