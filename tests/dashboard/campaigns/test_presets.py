@@ -17,6 +17,7 @@ from dashboard.campaigns.store.store import Store
 from deploy.config.check import BadSpecError
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
+from services.models.world import BoxWorld, ClusteredWorld, GridWorld
 from tests.dashboard.command import zenfi
 
 PAPER = {"fig7": 8, "fig8": 9, "fig9": 4, "table3": 4, "table4": 48, "fig14": 33, "fig16": 54}
@@ -51,7 +52,7 @@ def test_detectors_are_asked_for_where_the_paper_has_them() -> None:
 def test_all_are_listed_in_a_line_each_with_what_they_take(tmp_path: Path) -> None:
     with closing(Store(tmp_path)) as store:
         plans = [(one, forecast(load_campaign(one.name), store, 2)) for one in presets()]
-    assert {one.name for one, _ in plans} == {*PAPER, "demo", "guards"}
+    assert {one.name for one, _ in plans} == {*PAPER, "demo", "difficulty", "guards", "wind"}
     assert {one.name: plan.cells for one, plan in plans if one.name in PAPER} == PAPER
     # Twins that fly as cells of their own are not flown again.
     assert {one.name: plan.twins for one, plan in plans}["table4"] == 0
@@ -59,6 +60,25 @@ def test_all_are_listed_in_a_line_each_with_what_they_take(tmp_path: Path) -> No
     paper.print(tables.presets(plans))
     assert isinstance(paper.file, StringIO)
     assert len(paper.file.getvalue().splitlines()) == len(plans) + 1
+
+
+def test_difficulty_flies_both_pilots_from_easy_to_hard_without_a_fault() -> None:
+    flown = list(runs(load_campaign("difficulty")))
+    grades: dict[tuple[str, str], list[float]] = {}
+    for run in flown:
+        world = run.spec.world
+        assert not isinstance(world, str | GridWorld | ClusteredWorld | BoxWorld)
+        grades.setdefault((world.kind, run.spec.pilot), []).append(world.difficulty)
+    assert set(grades) == {
+        (kind, pilot) for kind in ("forest", "gates", "traffic") for pilot in ("guarded", "baseline")
+    }
+    assert all(set(given) == {0.0, 0.25, 0.5, 0.75, 1.0} for given in grades.values())
+    assert {run.spec.fault for run in flown} == {None}
+
+
+def test_wind_rises_to_where_the_vehicle_hardly_holds() -> None:
+    winds = {run.spec.wind.mean_m_s[0] for run in runs(load_campaign("wind"))}
+    assert winds == {0.0, -8.0, -12.0, -16.0}
 
 
 @pytest.mark.parametrize(("factor", "expected"), [(0.1, 10), (0.001, 1), (0.125, 12), (3, 300)])
