@@ -69,10 +69,10 @@ class TrafficFigures(NamedTuple):
 def forest_figures(wanted: ForestWorld) -> ForestFigures:
     """The parameters of a forest: as given, else by its difficulty."""
     return ForestFigures(
-        _given(wanted.stems_per_ha, _between(60.0, 300.0, wanted.difficulty)),
-        _given(wanted.trunk_m, _between(0.6, 0.1, wanted.difficulty)),
-        _given(wanted.gap_m, _between(6.0, 4.0, wanted.difficulty)),
-        _given(wanted.branches, _between(1.0, 3.0, wanted.difficulty)),
+        _given(wanted.stems_per_ha, _between(60.0, 400.0, wanted.difficulty)),
+        _given(wanted.trunk_m, _between(0.6, 0.06, wanted.difficulty)),
+        _given(wanted.gap_m, _between(6.0, 3.6, wanted.difficulty)),
+        _given(wanted.branches, _between(1.0, 5.0, wanted.difficulty)),
     )
 
 
@@ -80,7 +80,7 @@ def gate_figures(wanted: GatesWorld) -> GateFigures:
     """The parameters of walls with gates: as given, else by the difficulty."""
     return GateFigures(
         wanted.walls if wanted.walls is not None else round(_between(1.0, 3.0, wanted.difficulty)),
-        _given(wanted.clearance_m, _between(2.5, 0.6, wanted.difficulty)),
+        _given(wanted.clearance_m, _between(2.5, 0.5, wanted.difficulty)),
         _given(wanted.shift_m, _between(4.0, 12.0, wanted.difficulty)),
     )
 
@@ -88,8 +88,8 @@ def gate_figures(wanted: GatesWorld) -> GateFigures:
 def traffic_figures(wanted: TrafficWorld) -> TrafficFigures:
     """The parameters of traffic: as given, else by its difficulty."""
     return TrafficFigures(
-        wanted.movers if wanted.movers is not None else round(_between(2.0, 10.0, wanted.difficulty)),
-        _given(wanted.speed_m_s, _between(0.2, 1.6, wanted.difficulty)),
+        wanted.movers if wanted.movers is not None else round(_between(2.0, 8.0, wanted.difficulty)),
+        _given(wanted.speed_m_s, _between(0.2, 1.0, wanted.difficulty)),
         wanted.obstacle_m,
         wanted.pillars,
     )
@@ -143,20 +143,27 @@ def _branches(stems: Floats, figures: ForestFigures, ground: float, rng: np.rand
 
 
 def scatter_gates(wanted: GatesWorld, rng: np.random.Generator) -> Scattered:
-    """Walls across the way, evenly between start and goal, with a gate each: as wide as the safety body
-    with ``clearance_m`` on either side, its middle up to ``shift_m`` off the way.
+    """A hall with walls across the way, evenly between start and goal, and a gate in each: as wide as the
+    safety body with ``clearance_m`` on either side, its middle up to ``shift_m`` off the way.
     """
     figures = gate_figures(wanted)
     way = np.linspace(np.array(wanted.start), np.array(wanted.goal), figures.walls + 2)[1:-1]
     half = BODY_RADIUS_M + figures.clearance_m
     middle = way[:, 1] + rng.uniform(-figures.shift_m, figures.shift_m, figures.walls)
     middle = np.clip(middle, wanted.lower[1] + half, wanted.upper[1] - half)
-    walls = []
+    (west, south, bottom), (east, north, _) = wanted.lower, wanted.upper
+    top = bottom + DRAWN_TOP_M
+    # Closed around, or pilots would fly round the walls.
+    walls = [
+        (west, south - WALL_M, bottom, east, south, top),
+        (west, north, bottom, east, north + WALL_M, top),
+        (west - WALL_M, south - WALL_M, bottom, west, north + WALL_M, top),
+        (east, south - WALL_M, bottom, east + WALL_M, north + WALL_M, top),
+    ]
     for x, y in zip(way[:, 0].tolist(), middle.tolist(), strict=True):
-        for south, north in ((wanted.lower[1], y - half), (y + half, wanted.upper[1])):
-            if north > south:
-                bottom, top = wanted.lower[2], wanted.lower[2] + DRAWN_TOP_M
-                walls.append((x - WALL_M / 2, south, bottom, x + WALL_M / 2, north, top))
+        for first, last in ((south, y - half), (y + half, north)):
+            if last > first:
+                walls.append((x - WALL_M / 2, first, bottom, x + WALL_M / 2, last, top))
     return Scattered(np.array(walls))
 
 

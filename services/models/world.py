@@ -86,9 +86,9 @@ class ForestWorld(_GradedWorld):
 
 
 class GatesWorld(_GradedWorld):
-    """Walls across the way with one gate each, ``clearance_m`` wider than the safety body on either side.
+    """A hall with walls across the way and one gate in each.
 
-    Middles of gates lie up to ``shift_m`` beside the straight way.
+    A gate is ``clearance_m`` wider than the safety body on either side. Middles of gates lie up to ``shift_m`` beside the straight way.
     """
 
     kind: Literal["gates"]

@@ -789,4 +789,60 @@ MUTANTS: list[Mutant] = [
         "tests/services/control/test_pid.py",
         ("pid: an error is summed up without a gain", "if tuning.integral != 0.0:", "if True:"),
     ),
+    *_of(
+        "sim/moving.py",
+        "tests/sim/test_moving.py",
+        (
+            "moving: an obstacle goes one way only and jumps back",
+            "part = 1.0 - abs(2.0 * turn - 1.0)",
+            "part = turn",
+        ),
+        (
+            "moving: all begin at the same end",
+            "time_s / moving[i, 9] + moving[i, 10]",
+            "time_s / moving[i, 9]",
+        ),
+    ),
+    *_of(
+        "sim/vehicle/vehicle.py",
+        "tests/sim/test_moving.py",
+        (
+            "moving: contact meets obstacles where they were when the tick began",
+            "            self._move_obstacles()\n            mujoco.mj_step(model, data)",
+            "            mujoco.mj_step(model, data)",
+        ),
+        (
+            "moving: the camera sees obstacles where the last step began",
+            "            mujoco.mj_kinematics(model, data)  # or",
+            "            pass  # or",
+        ),
+    ),
+    *_of(
+        "sim/mission/qof.py",
+        "tests/sim/test_moving.py",
+        (
+            "moving: clearance is told to obstacles at the beginning",
+            "boxes_at(moving, track[k, 0])",
+            "boxes_at(moving, 0.0)",
+        ),
+    ),
+    *_of(
+        "sim/generators.py",
+        "tests/sim/test_generators.py",
+        (
+            "gates: the clearance is of both sides together",
+            "BODY_RADIUS_M + figures.clearance_m",
+            "BODY_RADIUS_M + figures.clearance_m / 2",
+        ),
+        ("forest: trees stand as they fall", "figures.gap_m, count)", "0.0, count)"),
+    ),
+    *_of(
+        "deploy/recording/visualization.py",
+        "tests/deploy/recording/test_visualization.py",
+        (
+            "moving obstacles are drawn at their beginning",
+            "self._moving.moved(at_ns / 1e9)",
+            "self._moving.moved(0.0)",
+        ),
+    ),
 ]

@@ -53,7 +53,7 @@ def test_the_camera_sees_it_where_it_is() -> None:
     assert ahead(vehicle) == pytest.approx(10.0, abs=0.05)
     vehicle.advance(np.zeros(4), round(5.0 / STEP_S))
     x = float(vehicle.position[0])
-    assert ahead(vehicle) == pytest.approx(7.0 - x, abs=0.02)
+    assert ahead(vehicle) == pytest.approx(7.0 - x, abs=1e-3)
 
 
 def test_it_strikes_a_vehicle_that_hovers_and_clearance_says_when() -> None:
