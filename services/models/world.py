@@ -88,7 +88,8 @@ class ForestWorld(_GradedWorld):
 class GatesWorld(_GradedWorld):
     """A hall with walls across the way and one gate in each.
 
-    A gate is ``clearance_m`` wider than the safety body on either side. Middles of gates lie up to ``shift_m`` beside the straight way.
+    A gate is ``clearance_m`` wider than the safety body on either side, its middle up to ``shift_m``
+    beside the straight way.
     """
 
     kind: Literal["gates"]
