@@ -18,7 +18,7 @@ from injector.tracing.tracees import TraceeGroup
 from services.bus.announce import Announcement
 from services.models.fault_spec import FaultSpec
 from services.models.outcome import InjectionRecord
-from services.runtime.marked_calls import GATE_SIGNAL
+from services.runtime.kernel_timer import GATE_SIGNAL
 
 POINTER_BITS = 64
 

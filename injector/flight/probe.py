@@ -17,7 +17,7 @@ from injector.tracing.ptrace import wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from services.bus.announce import Announcement
-from services.runtime.marked_calls import GATE_SIGNAL
+from services.runtime.kernel_timer import GATE_SIGNAL
 
 LIMIT_S = 20.0
 """Wall time after which a probe is given up."""

@@ -21,7 +21,7 @@ from injector.tracing.compiled_functions import compiled_functions
 from injector.tracing.elf import place
 from services.kernels import scope_of
 from services.models.fault_spec import FaultSpec, Site, Trigger, Waypoint
-from services.runtime.marked_calls import GATE_SIGNAL
+from services.runtime.kernel_timer import GATE_SIGNAL
 
 FEW_PASSES = 2_000
 """Passes through an address that are counted from the call's beginning: some 20 ms."""

@@ -13,7 +13,7 @@ from injector.tracing import ptrace
 from injector.tracing.process import Process, ProcessIdentity
 from injector.tracing.ptrace import GoneError
 from injector.tracing.tracees import FAULTS
-from services.runtime.marked_calls import GATE_SIGNAL
+from services.runtime.kernel_timer import GATE_SIGNAL
 
 COPY_LIMIT_S = 20.0
 """Wall time after which a copy is given up."""

@@ -63,7 +63,7 @@ class ControlWords:
 
     @classmethod
     def in_memory(cls, memory: TranslationMemory) -> ControlWords:
-        """New ones."""
+        """Words of their own in the memory for translations."""
         rcx, rax, rsp, left, mode, strikes, unread = (memory.words(1) for _ in range(7))
         register, read_back = memory.words(_WORDS), memory.words(_WORDS)
         memory.words(_STACK)
@@ -83,7 +83,7 @@ class CountdownCode:
         self.trapped_at = self.end = 0
 
     def before(self, at: int) -> bytes:
-        """Count, and trap at zero."""
+        """The code: it counts one execution less, and traps at zero."""
         out, words = _Assembly(at), self._words
         out.beside(_STORE_RCX, words.rcx)
         out.beside(_LOAD_RCX, words.left)
@@ -96,7 +96,7 @@ class CountdownCode:
         return bytes(out.code)
 
     def after(self, at: int) -> bytes:
-        """Nothing."""
+        """No code: nothing happens behind the instruction."""
         del at
         return b""
 

@@ -1,6 +1,6 @@
 """The calls of a node in which a fault recurs: the node is traced for as long as it lives.
 
-In a marked call (:mod:`services.runtime.marked_calls`) the code strikes, or traps where we are to; in between
+In a marked call (:mod:`services.runtime.kernel_timer`) the code strikes, or traps where we are to; in between
 it runs as it is. A record tells the strikes of each call, before the node goes on.
 """
 
@@ -30,7 +30,7 @@ from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from services.models.fault_spec import FaultSpec
 from services.models.outcome import STRIKES_KEPT, InjectionRecord, strike_of
-from services.runtime.marked_calls import GATE_SIGNAL, MARKS, WITHIN
+from services.runtime.kernel_timer import GATE_SIGNAL, MARKS, WITHIN
 
 _MARKS = struct.Struct(f"<{MARKS}q")
 

@@ -82,12 +82,12 @@ class StruckCode(TranslatedCode):
     # -- what happens in it ------------------------------------------------------------------------
 
     def disarm(self) -> None:
-        """Have the code run as it is."""
+        """Have the code run without strikes until it is armed again."""
         self.put(self.words.mode, OFF)
         self.put(self.words.left, FAR)
 
     def put(self, word: int, value: int) -> None:
-        """Change one of the words."""
+        """Change one of the words by which code and injector know of each other."""
         self._process.write_memory(word, _WORD.pack(value))
 
     def get(self, word: int, process: Process | None = None) -> int:
