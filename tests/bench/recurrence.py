@@ -1,7 +1,7 @@
 """What faults that recur in instructions cost: flights beside their golden twins, in turns, and one replay.
 
-Run it with ``python -m tests.bench.recurrence [TIMES]`` on a checkout; 3 times by default. It prints a line for
-each fault: strikes, the wall times of twins and of faulty flights, and the answer of the replay.
+Run it with ``python -m tests.bench.recurrence [TIMES]`` on a checkout; 3 times by default. It prints a line
+for each fault: strikes, the wall times of twins and of faulty flights, and the answer of the replay.
 """
 
 from __future__ import annotations
