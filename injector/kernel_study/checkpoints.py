@@ -46,7 +46,7 @@ class SamplePoint(Strict):
 
     @property
     def at(self) -> Pass:
-        """Where it is."""
+        """The address, and the number of the pass through it."""
         return self.address, self.hit
 
 
