@@ -12,7 +12,7 @@ import struct
 import threading
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,8 +70,8 @@ class CountedCall(TranslatedCode):
     ) -> None:
         """Make ready to count in ``code``, ranges in order.
 
-        Blocks end before each of ``leaders`` at the latest. ``stops`` are the passes, in order and from 1 on,
-        before which the call is to stop, by their addresses, which must be among ``leaders``.
+        Blocks end before each of ``leaders`` and ``stops`` at the latest. ``stops`` are the passes, in order
+        and from 1 on, before which the call is to stop, by their addresses.
 
         :raises UncountableError: if there is no room for translations.
         """
@@ -79,7 +79,9 @@ class CountedCall(TranslatedCode):
             super().__init__(thread, process, code)
         except TranslationMemoryError as error:
             raise UncountableError(str(error)) from error
-        self._leaders = leaders
+        self._stops = frozenset(stops or ())
+        self._leaders = self._stops | frozenset(leaders)
+        self._arrived_at = frozenset(leaders)
         self._blocks: list[tuple[Translation, Counters]] = []
         self._at = np.empty((0, 2), np.int64)
         self._first = np.empty(0, np.uint64)
@@ -203,5 +205,8 @@ class CountedCall(TranslatedCode):
         made = translate(self._block_at(address), address, memory.here, counters, self._leaders)
         if made.stop:
             self._stops_at[made.stop] = address
+        if address in self._stops - self._arrived_at:
+            # A place in the middle of other code, whose beginning has more need of a jump.
+            made = replace(made, takes_a_jump=False)
         self._blocks.append((made, counters))
         return made

@@ -34,6 +34,7 @@ class TranslatedCode(ABC):
         self._memories = map_memory(thread.tid, process, code)
         self._lies: dict[int, int] = {}
         self._exits: dict[int, Exit] = {}
+        self._jumps: set[int] = set()
 
     def overwrite(self) -> None:
         """Put traps wherever code in question lies: from now on it runs in translation."""
@@ -90,11 +91,17 @@ class TranslatedCode(ABC):
         made = self._make(address, memory)
         memory.take(len(made.code))
         self._write(at, made.code)
-        if made.takes_a_jump:
+        if made.takes_a_jump and not self._is_near_a_jump(address):
             self._write(address, jump(address, at))
+            self._jumps.add(address)
         self._exits |= {one.trap: one for one in made.exits}
         self._lies[address] = at
         return at
+
+    def _is_near_a_jump(self, address: int) -> bool:
+        """Whether a jump at an address would overlap another one."""
+        length = len(jump(0, 0))
+        return any(other in self._jumps for other in range(address - length + 1, address + length))
 
     def _memory_of(self, address: int) -> TranslationMemory:
         return self._memories[bisect_right(self._memories, address, key=lambda one: one.start) - 1]

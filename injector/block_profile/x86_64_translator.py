@@ -147,10 +147,20 @@ def translate(
         exits,
         tuple(out.returns),
         out.stop,
-        # Functions begin at multiples of 16 or with a mark for indirect calls.
-        block[-1].next_ip - address >= len(jump(0, 0))
-        and (block[0].len >= len(jump(0, 0)) or address % 16 == 0 or block[0].mnemonic == Mnemonic.ENDBR64),
+        _takes_a_jump(code, address),
     )
+
+
+def _takes_a_jump(code: bytes, address: int) -> bool:
+    """Whether a jump may be written over the code at an address where somebody arrives.
+
+    Functions begin at multiples of 16 or with a mark for indirect calls. That leaders divide the code there
+    does not matter: to them the translation leads.
+    """
+    whole, _ = _block(code, address, ())
+    begins = address % 16 == 0 or whole[0].mnemonic == Mnemonic.ENDBR64
+    length = len(jump(0, 0))
+    return whole[-1].next_ip - address >= length and (whole[0].len >= length or begins)
 
 
 def _block(

@@ -81,7 +81,7 @@ def _with_a_way(
         probe.thread,
         probe.process,
         fault,
-        leaders=leaders | {drawn.address},
+        leaders=leaders,
         stops={drawn.address: [drawn.hit]},
     )
     if call.to_next_stop(GATE_SIGNAL) is None:

@@ -140,8 +140,7 @@ class CheckpointRun:
         copy = self._forks.copy(self._root)
         try:
             with Process(ProcessIdentity.of(copy.pid)) as process:
-                leaders = self._leaders | stops.keys()
-                yield counted_call(copy, process, self._fault, leaders=leaders, stops=stops)
+                yield counted_call(copy, process, self._fault, leaders=self._leaders, stops=stops)
         finally:
             self._forks.end(copy)
 

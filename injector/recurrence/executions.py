@@ -25,7 +25,9 @@ DEADLY = frozenset({*FAULTS, signal.SIGABRT, signal.SIGSYS})
 def executions_ahead(tid: int, process: Process, code: StruckCode) -> int:
     """The number in the call at whose beginning the thread stands.
 
-    A copy that dies has as many as it came to; none if it does not come to an end: then the node does not.
+    A copy that dies by its own doing has as many as it came to.
+
+    :raises TimeoutError: if it does not come to an end, or somebody kills it: our failure, no result.
     """
     copy_tid = injected_fork(tid, process)
     watchdog = threading.Timer(COPY_LIMIT_S, os.kill, (copy_tid, signal.SIGKILL))
@@ -34,8 +36,9 @@ def executions_ahead(tid: int, process: Process, code: StruckCode) -> int:
         with Process(ProcessIdentity.of(copy_tid)) as copy:
             restore_copy(copy, copy_tid, process)
             return _run(copy_tid, copy, code)
-    except GoneError:
-        return 0
+    except GoneError as error:
+        message = f"a copy that ran a call ahead was killed, by us if it took {COPY_LIMIT_S:g} s"
+        raise TimeoutError(message) from error
     finally:
         watchdog.cancel()
         watchdog.join()

@@ -234,6 +234,31 @@ def stops_are_those_of_steps(tmp_path: Path, kernel: str) -> None:
         assert again.passes.tolist() == counts.passes.tolist()
 
 
+BY_POINTER = """
+__attribute__((noinline, aligned(16))) static int callee(int x) { return 3 * x + 1; }
+static int (*volatile called)(int) = callee;
+double kernel(void) { int x = 1; for (int i = 0; i < 500; i++) x = called(x) & 1023; return x; }
+"""
+
+
+def test_a_stop_just_behind_where_many_arrive_costs_no_traps(tmp_path: Path) -> None:
+    in_small_process(stops_cost_no_traps, tmp_path, BY_POINTER)
+
+
+def stops_cost_no_traps(tmp_path: Path, kernel: str) -> None:
+    with standing(tmp_path, kernel) as one:
+        counts, inside = counts_of(one, own_code), is_counted(one, own_code)
+        trace = [address for address, _ in groupby(one.trace()) if inside(address)]
+        often = Counter(trace)
+        first = next(at for at in trace if at in counts.leaders and at % 16 == 0 and often[at] == 500)
+        second = trace[trace.index(first) + 1]
+        counted_call.MOST_TRAPS = 100
+        stops = {second: [often[second]]}
+        with a_copy(one, own_code, leaders=counts.leaders, stops=stops) as call:
+            assert call.to_next_stop(MARK) == (second, often[second])
+            assert call.to_next_stop(MARK) is None
+
+
 def test_a_copy_that_dies_or_hangs_is_told(tmp_path: Path) -> None:
     in_small_process(deaths, tmp_path, CALLS["recursion"])
     in_small_process(hangs, tmp_path, 'double kernel(void) { for (;;) __asm__ volatile(""); }')
