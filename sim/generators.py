@@ -88,8 +88,8 @@ def gate_figures(wanted: GatesWorld) -> GateFigures:
 def traffic_figures(wanted: TrafficWorld) -> TrafficFigures:
     """The parameters of traffic: as given, else by its difficulty."""
     return TrafficFigures(
-        wanted.movers if wanted.movers is not None else round(_between(2.0, 8.0, wanted.difficulty)),
-        _given(wanted.speed_m_s, _between(0.2, 1.0, wanted.difficulty)),
+        wanted.movers if wanted.movers is not None else round(_between(2.0, 6.0, wanted.difficulty)),
+        _given(wanted.speed_m_s, _between(0.2, 0.65, wanted.difficulty)),
         wanted.obstacle_m,
         wanted.pillars,
     )
