@@ -89,7 +89,7 @@ def traffic_figures(wanted: TrafficWorld) -> TrafficFigures:
     """The parameters of traffic: as given, else by its difficulty."""
     return TrafficFigures(
         wanted.movers if wanted.movers is not None else round(_between(2.0, 6.0, wanted.difficulty)),
-        _given(wanted.speed_m_s, _between(0.2, 0.65, wanted.difficulty)),
+        _given(wanted.speed_m_s, _between(0.2, 0.8, wanted.difficulty)),
         wanted.obstacle_m,
         wanted.pillars,
     )
