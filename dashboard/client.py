@@ -41,7 +41,7 @@ from dashboard.campaigns.store.listing import (
 from deploy.mission.replay import Replay
 from deploy.recording.snapshot import FlightSnapshot
 from services.models.base import Strict
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
 

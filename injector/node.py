@@ -39,7 +39,7 @@ from services.bus.messages import Injection, encode
 from services.bus.session import BusAddress
 from services.bus.topics import TOPICS
 from services.kernels import aimed_at
-from services.models.fault_spec import FaultSpec, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.outcome import InjectionRecord
 from services.runtime import rng
 from services.runtime.clock import FlightClock

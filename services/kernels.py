@@ -20,7 +20,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
-    from services.models.fault_spec import FaultSpec
+    from services.models.faults.specification import FaultSpec
     from services.runtime.kernel_trial import KernelOutput, KernelTrial, Sample
 
 

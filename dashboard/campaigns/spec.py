@@ -17,7 +17,7 @@ from dashboard.campaigns.executors.spec import ExecutorSpec, LocalSpec
 from deploy.config.check import BadSpecError, check, one_line
 from deploy.config.definitions import inlined
 from services.models.base import Strict
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec, World
 from services.models.own_stack import OwnStack
 

@@ -16,7 +16,7 @@ from deploy.bench.pauses import measure_injections
 from deploy.bench.platform import measure, to_toml
 from deploy.config.check import BadSpecError, check
 from deploy.mission.fork_server import ForkServer
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 
 

@@ -22,7 +22,7 @@ from injector.tracing.perf_events import TriggerError
 from injector.tracing.process import Process, VanishedError, threads
 from injector.tracing.symbols import SymbolError, demangled, function_at, module_code
 from injector.tracing.tracees import StopError
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.runtime import rng
 
 _DECIDED_ELSEWHERE = ("scope", "trigger", "components", "point")

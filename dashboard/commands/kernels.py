@@ -22,7 +22,7 @@ from deploy.kernel_study.file import StudyFile
 from deploy.kernel_study.study import Study
 from injector.kernel_study.study import StudyRun
 from services.kernels import KERNELS
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 
 PAPERS = ("octomap", "rrt", "rrt_connect", "rrt_star", "pid")
 _GROUPS = 12

@@ -9,7 +9,7 @@ import click
 from dashboard.campaigns.store.queries import default_folder
 from deploy.config.check import BadSpecError
 from deploy.config.definitions import inlined
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 
 as_json = click.option("--json", "as_json", is_flag=True, help="One JSON object per line on standard output.")
 

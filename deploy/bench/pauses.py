@@ -18,7 +18,7 @@ from deploy.mission.golden_twin import PairFlyer
 from injector.tracing.tracees import TraceeGroup
 from services.models.base import Strict
 from services.models.detection import DetectorSpec
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from services.models.outcome import InjectionRecord
 

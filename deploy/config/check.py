@@ -15,7 +15,7 @@ from detector.schemes.registry import in_flight
 from injector.capabilities import check as preflight
 from injector.isa.host import AbsentError, require
 from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS, aimed_at
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.inter_kernel_states import GROUPS, STATES, members
 from services.models.mission import MissionSpec
 from services.models.own_stack import OwnStack, OwnStage

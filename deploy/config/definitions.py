@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from deploy.config.check import BadSpecError, digest_of, one_line
 from detector.schemes.model_files import read_model
 from detector.schemes.registry import load_detector
-from services.models.fault_spec import MaskHistogram
+from services.models.faults.mask_histogram import MaskHistogram
 from services.models.mission import MissionSpec
 from sim.world import BadWorldError, definition
 

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from deploy.config.check import BadSpecError
 from injector.kernel_study.study import CallLength, StudyRun
 from services.models.base import Strict
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 
 
 class StudyHeader(Strict):

@@ -11,7 +11,7 @@ from deploy.kernel_study.workers import StudyWorkers
 from injector.kernel_study.checkpoints import SamplePoint
 from injector.kernel_study.study import CallLength, StudyRun, StudyTask
 from services.kernels import scope_of
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 
 LOTS_A_SLOT = 4
 """Lots of places for each worker: each goes through the call anew, and none waits long for the last one."""

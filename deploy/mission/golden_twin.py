@@ -22,7 +22,7 @@ from deploy.recording.mcap_recorder import McapRecorder, MessageTap
 from deploy.recording.propagation import propagation
 from services.bus.topics import RECORDED, published_by
 from services.kernels import aimed_at
-from services.models.fault_spec import FaultSpec, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.inter_kernel_states import members
 from services.models.mission import MissionSpec
 from services.models.outcome import GoldenTwin, NodeReport, Outcome

@@ -12,7 +12,7 @@ from services.bus.horizon import NEVER_NS
 from services.bus.messages import decode
 from services.bus.topics import RECORDED, STAGES, TOPICS
 from services.kernels import aimed_at, scope_of
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from services.models.outcome import (
     NO_FLIGHT,

@@ -8,7 +8,7 @@ from pathlib import Path
 from deploy.config.platform import check_latency, load_platform
 from deploy.config.processes import ProcessDeclaration
 from services.kernels import KERNELS
-from services.models.fault_spec import Trigger
+from services.models.faults.specification import Trigger
 from services.models.mission import MissionSpec
 from services.models.platform import KernelLatency
 from services.runtime.node import DETECTOR

@@ -23,7 +23,7 @@ from injector.tracing.perf_events import Breakpoint, ThreadTimer
 from injector.tracing.process import MemoryMapping, Process
 from injector.tracing.ptrace import wait_until
 from injector.tracing.tracee import Tracee
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 
 SHORT_NS = 2_000_000
 """Longest thread time of a call that is stepped through."""

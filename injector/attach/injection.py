@@ -20,7 +20,7 @@ from injector.tracing.elf import place
 from injector.tracing.process import ChangedError, MemoryMap, Process, VanishedError
 from injector.tracing.ptrace import NotPermittedError, wait_until
 from services.models.base import Strict
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.outcome import InjectionRecord
 from services.system.signal_names import signal_name
 

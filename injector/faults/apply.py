@@ -14,7 +14,7 @@ from injector.tracing.process import AddressError, CodeError, Process
 from injector.tracing.ptrace import GoneError
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 
 SITES = 1000
 """Instructions in the scope with nothing eligible that are passed over before we give up."""

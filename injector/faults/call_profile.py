@@ -24,7 +24,7 @@ from injector.tracing.compiled_functions import CompiledFunctions
 from injector.tracing.elf import CodeLocations
 from injector.tracing.process import Process
 from injector.tracing.tracee import Tracee
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 
 
 def counted_call(

@@ -9,7 +9,7 @@ from pathlib import Path
 from injector.tracing.elf import code_sections
 from injector.tracing.process import MemoryMap, Process
 from services.kernels import KERNELS, scope_of
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 
 
 def within(fault: FaultSpec, process: Process) -> Callable[[int], bool]:

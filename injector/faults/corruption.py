@@ -20,8 +20,8 @@ from injector.faults.stopped_thread import (
 from injector.isa.instruction import Candidate, MemoryAccess
 from injector.isa.registers import Registers
 from injector.tracing.ptrace import GoneError
-from services.models.fault_model import draw_bits, struck
-from services.models.fault_spec import FaultSpec
+from services.models.faults.arithmetic import draw_bits, struck
+from services.models.faults.specification import FaultSpec
 
 
 def corrupt_register(

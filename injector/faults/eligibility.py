@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from injector.isa.instruction import Candidate, Instruction, MemoryAccess
-from services.models.fault_model import groups
-from services.models.fault_spec import FaultSpec
+from services.models.faults.arithmetic import groups
+from services.models.faults.specification import FaultSpec
 
 Bits = list[Sequence[int]]
-"""The sets of bits of which one is drawn, see :func:`services.models.fault_model.groups`."""
+"""The sets of bits of which one is drawn, see :func:`services.models.faults.arithmetic.groups`."""
 
 
 def eligible_registers(fault: FaultSpec, instruction: Instruction) -> list[tuple[Candidate, Bits]]:

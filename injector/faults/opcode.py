@@ -12,8 +12,8 @@ from injector.isa.instruction import DecodeError, Instruction
 from injector.tracing.process import LONGEST_INSTRUCTION, AddressError, Process
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
-from services.models.fault_model import draw_bits, groups
-from services.models.fault_spec import FaultSpec
+from services.models.faults.arithmetic import draw_bits, groups
+from services.models.faults.specification import FaultSpec
 
 DRAWS = 100
 """Draws that turn an instruction into a system call before it is passed over."""

@@ -9,7 +9,7 @@ from typing import Any
 from injector.faults.stopped_thread import InjectionResult
 from injector.tracing.elf import CodeLocation
 from services.kernels import scope_of
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.outcome import InjectionRecord
 
 

@@ -20,7 +20,7 @@ from injector.tracing.ptrace import wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from services.bus.announce import Announcement
-from services.models.fault_spec import FaultSpec, Site, Waypoint
+from services.models.faults.specification import FaultSpec, Site, Waypoint
 
 RERUN_NS = 100_000
 """Longest thread time from a system call to the next attempt."""

@@ -26,7 +26,7 @@ from injector.tracing.symbols import function_at
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from services.bus.announce import Announcement, start_ticks
-from services.models.fault_spec import Trigger
+from services.models.faults.specification import Trigger
 from services.models.mission import MissionSpec
 from services.system.process_stat import process_stat
 

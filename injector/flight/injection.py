@@ -16,7 +16,7 @@ from injector.tracing.process import IdentityError, Process, ProcessIdentity, Va
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from services.bus.announce import Announcement
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.outcome import InjectionRecord
 from services.runtime.kernel_timer import GATE_SIGNAL
 

@@ -9,7 +9,7 @@ from injector.tracing.compiled_functions import compiled_functions
 from injector.tracing.process import IdentityError, Process, ProcessIdentity
 from injector.tracing.tracees import TraceeGroup
 from services.bus.announce import Announcement
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.outcome import InjectionRecord
 
 

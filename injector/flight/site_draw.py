@@ -20,7 +20,7 @@ from injector.flight.probe import ProbeRun
 from injector.tracing.compiled_functions import compiled_functions
 from injector.tracing.elf import place
 from services.kernels import scope_of
-from services.models.fault_spec import FaultSpec, Site, Trigger, Waypoint
+from services.models.faults.specification import FaultSpec, Site, Trigger, Waypoint
 from services.runtime.kernel_timer import GATE_SIGNAL
 
 FEW_PASSES = 2_000

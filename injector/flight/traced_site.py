@@ -10,7 +10,7 @@ from injector.isa.host import decode
 from injector.isa.instruction import DecodeError
 from injector.tracing.elf import place
 from injector.tracing.process import CodeError, Process
-from services.models.fault_spec import Site
+from services.models.faults.specification import Site
 
 MOST_STEPS = 150_000
 """Instructions after which a call counts as too long to be stepped through: some 3 s of wall time."""

@@ -15,7 +15,7 @@ from injector.faults.stopped_thread import TargetError
 from injector.flight.fingerprint import fingerprint_of
 from injector.tracing.process import Process, ProcessIdentity, VanishedError
 from injector.tracing.tracees import TraceeGroup
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.runtime import rng
 from services.system.lifeline import die_with_parent
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 from injector.isa import aarch64_decoder, aarch64_registers, x86_64_decoder, x86_64_registers
 from injector.isa.instruction import Instruction, RegisterClass
 from injector.isa.registers import Registers
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 
 
 @dataclass(frozen=True, slots=True)

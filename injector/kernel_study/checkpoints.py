@@ -24,7 +24,7 @@ from injector.tracing.ptrace import GoneError
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from services.models.base import Strict
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 
 LIMIT_S = 60.0
 """Wall time after which a call that does not come to a place is given up."""

@@ -34,7 +34,7 @@ from injector.tracing.ptrace import GoneError, StopReport, wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from services.models.base import Strict
-from services.models.fault_spec import FaultSpec, Site, Trigger
+from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.outcome import InjectionRecord
 from services.runtime import rng
 from services.system.signal_names import signal_name

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.runtime import rng
 
 _BLOCK = 64

@@ -28,7 +28,7 @@ from injector.tracing.process import AddressError, Process
 from injector.tracing.ptrace import GoneError, StopReport
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.outcome import STRIKES_KEPT, InjectionRecord, strike_of
 from services.runtime.kernel_timer import GATE_SIGNAL, MARKS, WITHIN
 

@@ -29,8 +29,8 @@ from injector.recurrence.unwinding import TrappedUnwinder
 from injector.tracing import ptrace
 from injector.tracing.process import Process
 from injector.tracing.tracee import Tracee
-from services.models.fault_model import draw_bits, struck
-from services.models.fault_spec import FaultSpec
+from services.models.faults.arithmetic import draw_bits, struck
+from services.models.faults.specification import FaultSpec
 
 FAR = 1 << 62
 """A count of executions to which no call comes."""

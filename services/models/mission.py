@@ -16,7 +16,7 @@ from services.models.airframe import AirframeDefinition
 from services.models.base import Strict
 from services.models.detection import DetectorSpec
 from services.models.equipment import PROFILES, Camera, Imu, MapSettings, Motion, Odometry, Wind
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.own_stack import OwnStack, OwnStage
 from services.models.pilots import PILOTS, GuardName, Guards, Pace, PilotName
 from services.models.platform import PlatformDefinition

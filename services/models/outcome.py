@@ -8,7 +8,7 @@ from pydantic import Field
 
 from services.models.base import Strict
 from services.models.detection import DetectionReport
-from services.models.fault_spec import FaultModel, Trigger
+from services.models.faults.specification import FaultModel, Trigger
 from services.models.mission import MissionSpec
 from services.models.pilots import GuardName
 from services.models.propagation import Propagation

@@ -16,7 +16,7 @@ import numpy as np
 
 from services.bus import proxy_link, session
 from services.bus.proxy_link import NodeLink
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.runtime.latency import Latency
 from services.runtime.probe_gate import stand_at_gate
 from services.runtime.setup import NodeSetup

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from services.models.fault_model import draw_bits, groups, struck
-from services.models.fault_spec import FaultSpec
+from services.models.faults.arithmetic import draw_bits, groups, struck
+from services.models.faults.specification import FaultSpec
 from services.models.inter_kernel_states import InterKernelState, members
 from services.models.outcome import InjectionRecord
 from services.runtime import rng

@@ -12,7 +12,7 @@ import numpy as np
 from services.bus.arrays import point, quaternion, vector, wxyz, xyz
 from services.bus.messages import decode, encode
 from services.bus.topics import TOPICS
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.outcome import InjectionRecord
 from services.runtime.rng import generator
 

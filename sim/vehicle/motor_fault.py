@@ -7,7 +7,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from services.models.fault_spec import MOTORS, FaultSpec
+from services.models.faults.specification import MOTORS, FaultSpec
 from services.models.outcome import InjectionRecord
 from services.runtime.rng import generator
 

@@ -30,7 +30,7 @@ from playwright.sync_api import Browser, sync_playwright
 from dashboard.campaigns.spec import Arm, CampaignSpec, Run
 from dashboard.campaigns.store.schema import RunRow
 from dashboard.campaigns.store.store import Store
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.outcome import InjectionRecord, Outcome
 from tests.bench.viewers import compare, elsewhere, here, nobody
 from tests.conftest import cpu_s

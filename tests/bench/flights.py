@@ -12,7 +12,7 @@ import numpy as np
 
 from dashboard.campaigns.scheduler import Finished
 from dashboard.campaigns.spec import Run
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from tests.bench.fly_all import fly_all
 

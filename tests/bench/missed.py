@@ -19,7 +19,7 @@ from deploy.recording.flight_status import series
 from detector.schemes.registry import with_models
 from services.bus.horizon import Stamped
 from services.models.detection import DetectorSpec
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 
 WORLDS = ("sparse", "dense")

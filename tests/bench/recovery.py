@@ -25,7 +25,7 @@ from detector.series.monitored_states import WATCHED
 from detector.series.preprocessing import levels
 from detector.series.series import Series
 from services.models.detection import DetectorSpec
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from services.models.outcome import InjectionRecord, Outcome
 from tests.bench.fly_all import fly_all

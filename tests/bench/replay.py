@@ -10,7 +10,7 @@ from collections import Counter
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from deploy.mission.replay import replay
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 
 TARGETS = ("pid", "trajectory", "pid", "collision_check", "point_cloud", "octomap", "rrt_star")

@@ -31,7 +31,7 @@ from injector.tracing.process import Process, ProcessIdentity
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from services.kernels import KERNELS
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.runtime import rng
 
 DRAWS, PARTS = 2000, 50

@@ -6,7 +6,7 @@ import pytest
 
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 
 GOLDEN = MissionSpec(seed=7)

@@ -17,7 +17,7 @@ from injector.flight.approach import KernelCall
 from injector.flight.injection import inject as inject_into
 from injector.flight.probe import ProbeRun, sent_ahead
 from services.bus.announce import Announcement, boot_id, start_ticks
-from services.models.fault_spec import FaultSpec, Site, Trigger
+from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.outcome import InjectionRecord
 from services.runtime.rng import generator
 

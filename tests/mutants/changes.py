@@ -449,8 +449,8 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
-        "services/models/fault_model.py",
-        "tests/services/models/test_fault_model.py",
+        "services/models/faults/arithmetic.py",
+        "tests/services/models/faults/test_arithmetic.py",
         ("fault: a flip only sets", "return value ^ mask", "return value | mask"),
         (
             "fault: stuck at the other value",
@@ -594,8 +594,17 @@ MUTANTS: list[Mutant] = [
         ),
         (
             "sampling: a jump over where somebody arrives",
-            "or address % 16 == 0 or",
-            "or address % 8 == 0 or",
+            "begins = address % 16 == 0 or",
+            "begins = address % 8 == 0 or",
+        ),
+    ),
+    *_of(
+        "injector/block_profile/x86_64_translator.py",
+        "tests/injector/block_profile/test_counted_call.py",
+        (
+            "sampling: a stop just behind where many arrive costs a trap each time",
+            "whole, _ = _block(code, address, ())",
+            "whole = list(_block(code, address, {address + 4})[0])",
         ),
     ),
     *_of(
@@ -703,8 +712,8 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
-        "services/models/fault_model.py",
-        "tests/services/models/test_masks.py",
+        "services/models/faults/arithmetic.py",
+        "tests/services/models/faults/test_masks.py",
         ("masks: uniform may flip nothing", ".any():", ".any() and False:"),
         ("masks: a word is a byte", '"word": 32', '"word": 8'),
         (
@@ -721,8 +730,8 @@ MUTANTS: list[Mutant] = [
         ("masks: a position may be missing", "and _has(bits, named)", ""),
     ),
     *_of(
-        "services/models/fault_spec.py",
-        "tests/services/models/test_masks.py",
+        "services/models/faults/mask_histogram.py",
+        "tests/services/models/faults/test_masks.py",
         ("masks: a histogram need not sum to 1", "if table and abs(total - 1) > _ROUNDING:", "if False:"),
         ("masks: the order of a file's lines changes draws", "dict(sorted(table.items()))", "dict(table)"),
     ),

@@ -23,7 +23,7 @@ from dashboard.campaigns.store.queries import Campaign
 from deploy.recording.flight_status import FlightStatus
 from deploy.recording.snapshot import FlightSnapshot
 from services.models.base import Strict
-from services.models.fault_spec import FaultSpec, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import MissionSpec
 
 router = APIRouter(prefix="/flights", tags=["flights"], responses=documented(404, 422))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Literal
 
-from services.models.fault_model import MANTISSA_BITS
+from services.models.faults.arithmetic import MANTISSA_BITS
 from services.models.outcome import InjectionRecord
 
 Field = Literal["sign", "exponent", "mantissa", "integer"]

@@ -12,7 +12,7 @@ from dashboard.api.service import Service
 from dashboard.campaigns.store.queries import Campaign
 from dashboard.web.components.frame import ask, told
 from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.inter_kernel_states import GROUPS, STATES
 from services.models.mission import MissionSpec
 from sim.world import world_names

@@ -23,7 +23,7 @@ from dashboard.web.components.frame import section
 from dashboard.web.components.parts import legend
 from dashboard.web.components.propagation_view import propagation_view
 from services.bus.topics import TICK_NS
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.inter_kernel_states import STATES
 from services.models.mission import MissionSpec
 from services.models.outcome import Outcome

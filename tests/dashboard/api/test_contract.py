@@ -17,7 +17,7 @@ from schemathesis.core.errors import InvalidSchema
 
 from dashboard.campaigns.spec import Arm, CampaignSpec
 from dashboard.campaigns.store.store import Store
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from tests.dashboard.api.asking import CAMPAIGNS, ask, make
 from tests.dashboard.campaigns.store.test_store import flown
 

@@ -14,7 +14,7 @@ import pytest
 from dashboard.campaigns.spec import Arm, CampaignSpec, RecordingPolicy
 from dashboard.campaigns.store.store import Store
 from dashboard.client import Client, RequestRefusedError
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
 from tests.conftest import alive, descendants, wait_until

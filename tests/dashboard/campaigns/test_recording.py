@@ -10,7 +10,7 @@ from dashboard.campaigns.recording import ArtefactRecorder, FileState
 from dashboard.campaigns.spec import Arm, CampaignSpec, RecordingPolicy, Run, runs
 from dashboard.campaigns.store.database import StoreFullError
 from dashboard.campaigns.store.store import Store
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.outcome import Outcome
 from tests.dashboard.campaigns.store.test_store import SPEC, flown, outcome
 from tests.dashboard.command import zenfi

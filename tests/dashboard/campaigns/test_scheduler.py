@@ -17,7 +17,7 @@ from dashboard.campaigns.scheduler import Finished, Scheduler
 from dashboard.campaigns.spec import Arm, CampaignSpec, Run, StoppingSpec, cells, runs
 from dashboard.campaigns.state_machine import CampaignStates, RunState
 from dashboard.campaigns.stopping import StoppingRule
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from services.models.outcome import NO_FLIGHT, Outcome
 

@@ -14,7 +14,7 @@ from deploy.config.check import BadSpecError, check_kernel
 from deploy.kernel_study.file import KernelSection, StudyFile, kept_runs
 from deploy.kernel_study.study import Study
 from injector.kernel_study.study import StudyRun
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from tests.conftest import descendants, wait_until
 
 SEED = 1
@@ -83,7 +83,7 @@ import sys
 from functools import partial
 from pathlib import Path
 from tests.deploy.kernel_study.test_study import studied
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 studied(FaultSpec(target="pid"), 60, 2, Path(sys.argv[1]))
 """
 

@@ -19,7 +19,7 @@ from detector.schemes.model_files import BadModelError
 from detector.schemes.registry import MODELS, with_models
 from services.bus.topics import STAGES
 from services.models.detection import DetectorSpec
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
 from services.models.platform import KernelLatency, PlatformDefinition

@@ -6,7 +6,7 @@ from deploy.config.check import BadSpecError, check
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from deploy.mission.replay import replay
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
 

@@ -5,7 +5,7 @@ import pytest
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from services.kernels import KERNELS
-from services.models.fault_spec import FaultSpec, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import Limits, MissionSpec
 
 SHORT = Limits(mission_time_s=6.0)

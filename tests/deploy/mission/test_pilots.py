@@ -7,7 +7,7 @@ import pytest
 from deploy.config.processes import STACK
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
-from services.models.fault_spec import FaultSpec, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
 from services.models.pilots import ALL_GUARDS

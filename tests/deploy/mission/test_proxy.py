@@ -15,7 +15,7 @@ from deploy.errors import InfrastructureError
 from deploy.mission.flight import fly
 from deploy.mission.fork_protocol import SIDE_SERVER
 from deploy.mission.fork_server import ForkServer, ForkServerError
-from services.models.fault_spec import FaultSpec, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import MissionSpec
 from tests.conftest import alive, descendants, forked, node, wait_until
 from tests.deploy.mid_flight import fly_and

@@ -5,7 +5,7 @@ import pytest
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from services.models.world import BoxWorld
 from tests.deploy.mid_flight import fly_and_crash

@@ -16,7 +16,7 @@ from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from deploy.mission.replay import compare, replay
 from deploy.mission.setups import spec_for_stages
-from services.models.fault_spec import FaultSpec, Site, Trigger
+from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
 from tests.conftest import descendants, forked, node, wait_until

@@ -17,7 +17,7 @@ from deploy.recording.propagation import FAULT, growth, propagation
 from services.bus.horizon import Stamped
 from services.bus.messages import Image, decode, encode, header
 from services.bus.topics import MADE_FROM, RECORDED, TICK_NS, TOPICS
-from services.models.fault_spec import FaultSpec, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.inter_kernel_states import members
 from services.models.mission import Limits, MissionSpec
 from services.models.propagation import Propagation

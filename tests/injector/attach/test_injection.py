@@ -19,7 +19,7 @@ from injector.attach.untrapped_tracees import notice_for
 from injector.faults.code_restorer import RestoredProcess
 from injector.tracing.process import Process, threads, tracer_of
 from injector.tracing.symbols import function_at, module_code
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.runtime.rng import generator
 from tests.injector.cpp_program import mapper, running_program
 from tests.injector.programs import clock_ns, state

@@ -15,7 +15,7 @@ from injector.isa.registers import Registers
 from injector.tracing.process import Process, ProcessIdentity
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.runtime.rng import generator
 from tests.injector.programs import Target, assemble, running
 

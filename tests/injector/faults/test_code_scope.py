@@ -13,7 +13,7 @@ from injector.faults.code_scope import within
 from injector.tracing.elf import place
 from injector.tracing.process import Process, ProcessIdentity
 from services.kernels import KERNELS
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.runtime.rng import generator
 from tests.injector.c_programs import Program, compiled, running_program
 

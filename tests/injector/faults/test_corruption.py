@@ -17,7 +17,7 @@ from injector.faults.record import record_of
 from injector.faults.stopped_thread import InjectionResult, stand, step
 from injector.isa.host import decode
 from injector.tracing.process import Process, ProcessIdentity
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.outcome import InjectionRecord
 from services.runtime.rng import generator
 from tests.injector.c_programs import Program, assembly, compiled, kill, running_program

@@ -11,7 +11,7 @@ from scipy.stats import chisquare
 from injector.faults.apply import apply_fault
 from injector.faults.stopped_thread import stand, step
 from injector.isa.instruction import Instruction
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.runtime.rng import generator
 from tests.injector.c_programs import Program, compiled, running_program
 

@@ -6,7 +6,7 @@ import pytest
 
 from injector.faults.eligibility import is_eligible
 from injector.isa.x86_64_decoder import decode
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 
 pytestmark = pytest.mark.unit
 

@@ -4,7 +4,7 @@ from injector.faults.record import record_of
 from injector.faults.stopped_thread import InjectionResult
 from injector.isa.instruction import Instruction
 from injector.tracing.elf import CodeLocation
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 
 FAULT = FaultSpec(target="pid", scope="kernel")
 ADD = Instruction(0x1000, bytes.fromhex("4801d8"), "add rax,rbx", steppable=True, candidates=(), memory=())

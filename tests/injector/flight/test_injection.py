@@ -17,7 +17,7 @@ from injector.flight.approach import KernelCall
 from injector.flight.injection import inject as inject_into
 from injector.tracing.process import IdentityError, VanishedError, threads, tracer_of
 from services.bus.announce import Announcement, announcement, boot_id, start_ticks
-from services.models.fault_spec import FaultSpec, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.outcome import InjectionRecord
 from services.runtime.rng import generator
 from tests.conftest import alive

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from services.models.fault_spec import Site
+from services.models.faults.specification import Site
 from tests.conftest import alive, descendants
 from tests.injector.calls import LOOP, aimed_at_a_source, caller, registers_in_the_loop
 

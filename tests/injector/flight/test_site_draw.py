@@ -9,7 +9,7 @@ from scipy.stats import chisquare
 from injector.block_profile.counted_call import UncountableError
 from injector.flight import site_draw
 from injector.flight.site_draw import NothingEligibleError, draw_site
-from services.models.fault_spec import FaultSpec, Site, Trigger, Waypoint
+from services.models.faults.specification import FaultSpec, Site, Trigger, Waypoint
 from services.runtime.rng import generator
 from tests.injector.calls import LOOP, Caller, caller, registers_in_the_loop
 

@@ -3,7 +3,7 @@
 import pytest
 
 from injector.flight.traced_site import approach
-from services.models.fault_spec import Site
+from services.models.faults.specification import Site
 from tests.injector.calls import LOOP, aimed_at_a_source, caller, registers_in_the_loop
 
 pytestmark = pytest.mark.usefixtures("may_inject")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from injector.flight.warm_up import warm_up_on_a_fork
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from tests.injector.small_process import in_small_process
 
 pytestmark = pytest.mark.usefixtures("may_inject")

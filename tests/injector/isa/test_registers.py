@@ -17,7 +17,7 @@ from injector.isa.x86_64_registers import GENERAL as PARTS
 from injector.isa.x86_64_registers import STATUS_FLAGS, X8664Registers, register_classes
 from injector.tracing.ptrace import NT_PRSTATUS, read_registers
 from injector.tracing.tracees import TraceeGroup
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from tests.injector.faults.test_apply import held, step_to
 from tests.injector.programs import (
     GENERAL,

@@ -11,7 +11,7 @@ from injector.kernel_study.subject import MARK
 from injector.tracing import ptrace
 from injector.tracing.compiled_functions import CompiledFunctions
 from injector.tracing.process import Process, ProcessIdentity
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from tests.injector.block_profile.test_counted_call import CALLS
 from tests.injector.forked_calls import Standing, standing
 from tests.injector.small_process import in_small_process

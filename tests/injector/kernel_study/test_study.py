@@ -18,7 +18,7 @@ from injector.kernel_study.study import LOST, StudyRun, SubjectInjector, subject
 from injector.kernel_study.subject import Subject
 from injector.tracing.process import Process, ProcessIdentity
 from services.kernels import KERNELS
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from tests.conftest import descendants, wait_until
 from tests.injector.programs import state
 

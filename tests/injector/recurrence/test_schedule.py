@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import chisquare, geom, poisson
 
 from injector.recurrence.schedule import chance, draw_of_strike, gaps
-from services.models.fault_model import draw_bits
-from services.models.fault_spec import FaultSpec
+from services.models.faults.arithmetic import draw_bits
+from services.models.faults.specification import FaultSpec
 
 pytestmark = pytest.mark.unit
 

@@ -14,7 +14,7 @@ from injector.recurrence.schedule import chance, gaps
 from injector.recurrence.struck_calls import StrikeTally, StruckCalls
 from injector.tracing.elf import code_sections
 from injector.tracing.process import Process, ProcessIdentity
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.outcome import STRIKES_KEPT, InjectionRecord
 from tests.injector.forked_calls import Standing, standing
 from tests.injector.small_process import in_small_process

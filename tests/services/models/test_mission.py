@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from deploy.config.check import one_line
 from services.models.equipment import PROFILES
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 
 

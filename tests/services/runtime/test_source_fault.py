@@ -9,7 +9,7 @@ from scipy.stats import chisquare, poisson
 
 from services.bus.arrays import NO_PLAN, POINT_FIELDS, plan_message
 from services.bus.messages import CollisionCheck, Twist, TwistStamped, Vector3, header
-from services.models.fault_spec import FaultSpec, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.inter_kernel_states import STATES
 from services.runtime.source_fault import SourceFault
 

@@ -7,7 +7,7 @@ import pytest
 
 from services.bus.arrays import state
 from services.bus.messages import header
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from sim.flight import SimulatedFlight
 from sim.sensors import telemetry

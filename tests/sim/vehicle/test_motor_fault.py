@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from sim.flight import SimulatedFlight
 from sim.vehicle.airframe import airframe

@@ -10,7 +10,7 @@ from pyarrow import parquet
 from dashboard.campaigns.presets import presets
 from dashboard.campaigns.spec import Arm, CampaignSpec
 from dashboard.campaigns.store.store import Store
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from tests.dashboard.api.asking import CAMPAIGNS, ask, make
 from tests.dashboard.campaigns.store.test_store import flown
 

@@ -5,7 +5,7 @@ import pytest
 from dashboard.api.routes.flights import FlightInfo
 from dashboard.client import Client, RequestRefusedError
 from deploy.mission.replay import Replay
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 
 MISSION = MissionSpec(limits=Limits(mission_time_s=6))

@@ -10,7 +10,7 @@ from dashboard.campaigns.scheduler import Finished, Scheduler, Write
 from dashboard.campaigns.spec import Arm, CampaignSpec, Cell, Run, runs
 from dashboard.campaigns.state_machine import CampaignStates, RunState
 from dashboard.campaigns.stopping import StoppingRule
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
 from tests.conftest import descendants

@@ -26,7 +26,7 @@ from deploy.config.check import BadSpecError
 from deploy.errors import InfrastructureError
 from deploy.workers import installation
 from deploy.workers.dask_task import RESOURCE, SlotMessage
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from tests.conftest import alive, descendants, wait_until
 from tests.dashboard.campaigns import test_durability as durability
 from tests.dashboard.campaigns.executors.flights import (

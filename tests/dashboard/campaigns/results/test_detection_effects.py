@@ -8,7 +8,7 @@ from dashboard.campaigns.flight_record import FlightRecord, Result
 from dashboard.campaigns.results.detection_effects import effect
 from dashboard.campaigns.results.summary import summarise
 from dashboard.campaigns.spec import Arm, CampaignSpec, Cell, Condition, unprotected_arms
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from tests.dashboard.campaigns.test_flight_record import result
 
 STRUCK = replace(result(injection="injected", time_s=26.0), digest="own", alarms=0)

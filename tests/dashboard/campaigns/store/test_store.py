@@ -22,7 +22,7 @@ from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.schema import Base
 from dashboard.campaigns.store.store import BusyError, Store
 from deploy.config.check import BadSpecError
-from services.models.fault_spec import FaultSpec, Site, Trigger
+from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.mission import MissionSpec
 from services.models.outcome import NO_FLIGHT, InjectionRecord, NodeReport, Outcome
 

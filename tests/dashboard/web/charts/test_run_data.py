@@ -9,7 +9,7 @@ from dashboard.web.charts import run_data
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
 from services.models.detection import AlarmRecord, DetectionReport, DetectorSpec
-from services.models.fault_spec import FaultSpec, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.inter_kernel_states import STATES
 from services.models.mission import Limits, MissionSpec
 

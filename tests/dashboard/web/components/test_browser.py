@@ -4,7 +4,7 @@ import pytest
 from playwright.sync_api import Page, WebSocket, expect
 
 from dashboard.campaigns.spec import Arm, CampaignSpec
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from tests.dashboard.api.conftest import Serving
 from tests.dashboard.web.conftest import Looking
 from tests.dashboard.web.stored import stored

@@ -7,7 +7,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from dashboard.campaigns.presets import scaled
 from dashboard.campaigns.spec import Arm, CampaignSpec, load_campaign
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from tests.dashboard.api.conftest import Serving
 from tests.dashboard.web.conftest import Looking
 from tests.dashboard.web.stored import stored

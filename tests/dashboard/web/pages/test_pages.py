@@ -10,7 +10,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from dashboard.campaigns.spec import Arm, CampaignSpec
 from dashboard.client import Client
-from services.models.fault_spec import FaultSpec
+from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 from tests.dashboard.api.conftest import PATIENCE_S, Serving, serving
 from tests.dashboard.web.conftest import Looking

@@ -12,7 +12,7 @@ from dashboard.analysis.recordings_reader import open_run
 from dashboard.campaigns.spec import Arm, CampaignSpec, RecordingPolicy
 from dashboard.campaigns.store.listing import RunQuery
 from dashboard.client import Client
-from services.models.fault_spec import FaultSpec, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import Limits, MissionSpec
 from tests.dashboard.api.conftest import Serving
 from tests.dashboard.web.conftest import Looking

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 from scipy.stats import chisquare
 
-from services.models.fault_model import draw_bits, groups, struck
-from services.models.fault_spec import FaultSpec
+from services.models.faults.arithmetic import draw_bits, groups, struck
+from services.models.faults.specification import FaultSpec
 from services.runtime.rng import generator
 
 

@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from scipy.stats import chisquare
 
 from deploy.config.check import one_line
-from services.models.fault_model import draw_bits, groups
-from services.models.fault_spec import FaultSpec
+from services.models.faults.arithmetic import draw_bits, groups
+from services.models.faults.specification import FaultSpec
 from services.runtime.rng import generator
 
 N = 10_000

@@ -8,7 +8,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from services.models.fault_spec import FaultSpec, MaskHistogram
+from services.models.faults.mask_histogram import MaskHistogram
+from services.models.faults.specification import FaultSpec
 
 MANTISSA_BITS = {32: 23, 64: 52}  # IEEE 754 binary32 and binary64
 ALIGNED_BITS = {"byte": 8, "word": 32}
