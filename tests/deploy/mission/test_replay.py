@@ -171,8 +171,10 @@ def test_what_is_no_outcome_is_refused(text: str, says: str, tmp_path: Path) -> 
     assert says in str(answer.exception)
 
 
-PROBED = SHORT.model_copy(update={"fault": FaultSpec(target="octomap", trigger=Trigger(invocation=5))})
-"""A call that takes so long that its probe cannot be missed."""
+PROBED = SHORT.model_copy(
+    update={"fault": FaultSpec(target="octomap", scope="thread", trigger=Trigger(invocation=5))}
+)
+"""A call whose probe lives for a second and cannot be missed: all libraries are looked through."""
 
 
 def kill_while_scouting(victim: str) -> None:
