@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from injector.tracing.perf_events import ThreadTimer, await_trap
-from injector.tracing.process import Process, ProcessIdentity
+from injector.tracing.process import END_LIMIT_MS, AddressError, Process, ProcessIdentity, VanishedError
 from injector.tracing.ptrace import wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
@@ -45,6 +45,7 @@ def sent_ahead(target: Announcement, send: Callable[[], None]) -> Iterator[Probe
 
     :raises IdentityError: if the target is not what it was announced as, or gone.
     :raises ProbeError: if none comes.
+    :raises VanishedError: if it is killed while its memory is read or written.
     """
     with Process(ProcessIdentity.announced(target)) as node, TraceeGroup(GATE_SIGNAL, forks=True) as tracees:
         tracees.seize([node.pid])
@@ -63,6 +64,11 @@ def sent_ahead(target: Announcement, send: Callable[[], None]) -> Iterator[Probe
         with Process(ProcessIdentity.of(thread.pid)) as process, _on_one_processor(thread.pid):
             try:
                 yield ProbeRun(tracees, thread, process)
+            except AddressError as error:
+                if not process.ends_within(END_LIMIT_MS):
+                    raise
+                message = f"process {process.pid} is gone"
+                raise VanishedError(message) from error  # its memory goes first
             finally:
                 with suppress(ProcessLookupError):
                     os.kill(thread.pid, signal.SIGKILL)
