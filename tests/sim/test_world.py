@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from pydantic import ValidationError
 
 from services.models.safety import BODY_RADIUS_M
 from services.models.world import BoxWorld
+from sim.moving import swept
 from sim.world import (
     DEFINITION,
     KEEP_OUT_M,
@@ -93,7 +95,8 @@ def test_every_world_that_comes_along_has_its_ends_free_and_something_in_the_way
             world = make_world(name, seed)
             assert distances(world, np.stack([world.start, world.goal])).min() >= BODY_RADIUS_M
             line = world.start + np.linspace(0.0, 1.0, 501)[:, None] * (world.goal - world.start)
-            assert distances(world, line).min() <= BODY_RADIUS_M + 0.1
+            everywhere = replace(world, obstacles=np.vstack([world.obstacles, swept(world.moving)]))
+            assert distances(everywhere, line).min() <= BODY_RADIUS_M + 0.1
 
 
 @pytest.mark.parametrize(
