@@ -99,6 +99,18 @@ def zenfi() -> None:
     help="Draw the injected call over the kernel's calls or over the flight's time.",
 )
 @click.option(
+    "--property",
+    "properties",
+    multiple=True,
+    metavar="TEXT",
+    help="Judge the flight, e.g. 'always clearance >= 0.3'; may be repeated (docs/properties.md).",
+)
+@click.option(
+    "--time-factor",
+    type=float,
+    help="Flight time beyond so many times the golden twin's is harm; default: 1.5.",
+)
+@click.option(
     "--record", type=click.Path(path_type=Path, dir_okay=False), help="Record the messages: FILE.mcap."
 )
 @shown_in_ros
@@ -112,11 +124,14 @@ def fly(
     ros: RosOptions | None,
     as_json: bool,
     guards: str | None,
+    time_factor: float | None,
     **fields: Any,
 ) -> None:
     """Fly one mission; with --fault, its golden twin first."""
     if guards is not None:
         fields["guards"] = [] if guards == "none" else guards.split(",")
+    if time_factor is not None:
+        fields["harm"] = {"time_factor": time_factor}
     if detector is not None:
         fields["detector"] = detector_fields(detector)
     if fault is not None:

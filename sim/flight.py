@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from sim.mission.area import corners
 from sim.mission.objective import objective
 from sim.mission.qof import FlightMeter
 from sim.mission.referee import judge
+from sim.mission.true_path import append
 from sim.sensors.imu import ImuSamples, InertialUnit
 from sim.sensors.odometry import Drift
 from sim.vehicle.airframe import airframe
@@ -26,9 +28,13 @@ HOVER = np.zeros(4)
 
 
 class SimulatedFlight:
-    """A vehicle that holds its last command: it hovers before the first, and coasts when none follows."""
+    """A vehicle that holds its last command: it hovers before the first, and coasts when none follows.
 
-    def __init__(self, spec: MissionSpec) -> None:
+    Its true state goes to the file ``true_path``, if there is one (:mod:`sim.mission.true_path`).
+    """
+
+    def __init__(self, spec: MissionSpec, true_path: Path | None = None) -> None:
+        self._true_path = true_path
         frame = airframe(spec.airframe)
         self.world = make_world(spec.world, spec.seed)
         self.motor_fault = None
@@ -64,7 +70,9 @@ class SimulatedFlight:
     def _fly(self, steps: int) -> None:
         if steps and not self.vehicle.contact:
             track = self.vehicle.advance(self._command, steps)
-            self._meter.add(track)
+            near = self._meter.add(track)
+            if self._true_path is not None:
+                append(self._true_path, track, near)
             self._felt.append(self._imu.sample(track))
 
     @property

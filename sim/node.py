@@ -34,7 +34,7 @@ def warm_up() -> None:
 def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
     """Fly the mission tick by tick until the referee ends it."""
     spec = setup.spec
-    flight, camera = SimulatedFlight(spec), DepthCamera(spec.camera, spec.seed)
+    flight, camera = SimulatedFlight(spec, setup.true_path), DepthCamera(spec.camera, spec.seed)
     failing = SensorFault(spec.fault, spec.seed) if spec.fault and spec.fault.level == "sensor" else None
     with ClockOwner(setup, proxy, stats) as node:
         commands, plan = node.input("command"), node.input("trajectory")

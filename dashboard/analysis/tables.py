@@ -44,6 +44,7 @@ def outcome(one: Outcome) -> Table:
         table.add_row(label, *cells)
     if one.qof.coverage is not None:
         table.add_row("coverage", f"{one.qof.coverage:.0%}")
+    _add_verdicts(table, one)
     table.add_row("wall time", f"{one.wall_s:.2f} s")
     for stage, report in one.nodes.items():
         told = [*report.causes, *_counted(report)]
@@ -59,6 +60,16 @@ def outcome(one: Outcome) -> Table:
     if one.propagation is not None:
         table.add_row("strayed", _strayed(one.propagation))
     return table
+
+
+def _add_verdicts(table: Table, flight: Outcome) -> None:
+    """Add what is said of a flight's properties, and of harm."""
+    for one in flight.properties:
+        verdict = "holds" if one.holds else f"violated at {one.at_ns / 1e9:.2f} s"
+        table.add_row(one.property, f"{verdict}, margin {one.robustness:+.3g}")
+    if flight.harm is not None:
+        told = (f"{event.kind.replace('_', ' ')} at {event.at_ns / 1e9:.2f} s" for event in flight.harm)
+        table.add_row("harm", "\n".join(told) or "none")
 
 
 def propagation(found: Propagation) -> Table:
@@ -147,12 +158,12 @@ def campaign(name: str, summary: Sequence[CellSummary]) -> Table:
     table = Table(
         title=f"{name}: quality of flight per arm",
         caption="95 %: Wilson interval of success. s, m, kJ: medians of successes; plans: mean of replans. "
-        "hit: flights in which the fault struck; then what became of the node aimed at in these." + lost,
+        "hit: the fault struck; harm: of these, harmed; then what became of the node aimed at." + lost,
         box=None,
         padding=(0, 1, 0, 0),
     )
     table.add_column("arm")
-    for column in ("success", "95 %", "s", "m", "kJ", "plans", "hit", *NODE_RESULTS):
+    for column in ("success", "95 %", "s", "m", "kJ", "plans", "hit", "harm", *NODE_RESULTS):
         table.add_column(column, justify="right")
     many_worlds = len({line.world for line in summary}) > 1
     for line in summary:
@@ -162,6 +173,7 @@ def campaign(name: str, summary: Sequence[CellSummary]) -> Table:
             f"{100 * line.success_low:.0f}-{100 * line.success_high:.0f}",
             *(_cell(value) for value in (line.flight_time_s, line.distance_m, line.energy_kj, line.replans)),
             str(line.injected) if line.aimed else "-",
+            "-" if line.harmed is None else str(line.harmed),
             *(str(line.results.get(result, 0)) if line.aimed else "-" for result in NODE_RESULTS),
         )
     return table

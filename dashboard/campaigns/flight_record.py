@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from dashboard.campaigns.spec import Cell
+from services.models.oracles.harm import first_ns, kinds
 from services.models.outcome import Outcome
 
 
@@ -14,7 +15,8 @@ class Result:
 
     ``node`` is the node aimed at and ``node_result`` what became of it; empty in a flight without a fault.
     ``alarms`` counts the detector's after the fault, None without a detector, and ``recomputed`` those of
-    them after which an output was made again.
+    them after which an output was made again. ``harm`` names what harmed the flight beside its twin, and
+    ``harmed_at_s`` says when it began; empty if nothing did, None where it is not known or has no twin.
     """
 
     result: str
@@ -35,6 +37,8 @@ class Result:
     twin_digest: str
     alarms: int | None
     recomputed: int
+    harm: str | None
+    harmed_at_s: float | None
     digest: str
     wall_s: float
 
@@ -46,6 +50,7 @@ class Result:
         alarms = (
             [one for one in outcome.detection.alarms if one.true] if outcome.detection is not None else None
         )
+        harmed_ns = first_ns(outcome.harm or ())
         return cls(
             result=outcome.result,
             success=qof.success,
@@ -65,6 +70,8 @@ class Result:
             twin_digest=twin.digest if twin is not None else "",
             alarms=len(alarms) if alarms is not None else None,
             recomputed=sum(one.action == "recomputed" for one in alarms or ()),
+            harm=" ".join(kinds(outcome.harm)) if outcome.harm is not None else None,
+            harmed_at_s=harmed_ns / 1e9 if harmed_ns is not None else None,
             digest=outcome.digest,
             wall_s=outcome.wall_s,
         )

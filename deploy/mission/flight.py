@@ -10,6 +10,7 @@ from pathlib import Path
 from deploy.config.workdir import mission_folder
 from deploy.errors import DisturbedFlightError, InfrastructureError
 from deploy.mission.fork_server import ForkServer
+from deploy.mission.judgement import judge_properties
 from deploy.mission.listening import MissionBus
 from deploy.mission.outcome import MissionEnd, mission_outcome
 from deploy.mission.restarts import POLL_S, RestartPolicy
@@ -25,6 +26,7 @@ from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
 from services.runtime.clock import FlightClock
 from services.runtime.node import DETECTOR
+from sim.mission.true_path import TruePath, read
 
 STALL_S = 20.0
 """Wall time without a message or promise after which somebody must be hanging outside a step."""
@@ -35,10 +37,15 @@ GRACE_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class FlownMission:
-    """An outcome with the trace that a golden twin is compared by, and the messages if they were kept."""
+    """An outcome with what a golden twin is compared by, and the messages if they were kept.
+
+    That is the trace of messages, the true path, and the virtual time of the mission's end.
+    """
 
     outcome: Outcome
     trace: FlightTrace
+    true_path: TruePath
+    end_ns: int
     messages: Mapping[str, Sequence[Stamped]] | None = None
     late: int = 0
 
@@ -58,7 +65,8 @@ def fly(
     """Fly one mission on a fork server; a pure function of ``spec`` as far as virtual time goes.
 
     ``keep_messages`` gives the caller every recorded message up to the end of the mission, by topic; ``taps``
-    are given the same meanwhile, and injection and alarms, in the order of virtual time.
+    are given the same meanwhile, and injection and alarms, in the order of virtual time. Here properties are
+    judged of a flight without a fault only; others are judged beside their twin.
 
     :raises DisturbedFlightError: if a process was ended from outside.
     :raises InfrastructureError: if the infrastructure failed. A crashed vehicle or node returns normally.
@@ -81,8 +89,11 @@ def fly(
             traced = aimed_at(fault) if fault is not None and fault.recurs_in_instructions else ""
             supervisor = Supervisor(server, address, spec.limits.hang_cpu_s, traced=traced)
             try:
-                mission = _Mission(spec, server, supervisor, listening, clock)
-                flown = mission.fly(order, taps, keep_messages=keep_messages)
+                true_path = folder / "true_path.f64"
+                mission = _Mission(
+                    spec, server, supervisor, listening, NodeSetups(spec, server.stack, clock, true_path)
+                )
+                flown = mission.fly(order, taps, true_path, keep_messages=keep_messages)
             finally:
                 supervisor.close()
     # All that a flight takes, its end included.
@@ -99,17 +110,19 @@ class _Mission:
         server: ForkServer,
         supervisor: Supervisor,
         bus: MissionBus,
-        clock: Path | None,
+        setups: NodeSetups,
     ) -> None:
         self._spec = spec
         self._server = server
         self._supervisor = supervisor
         self._bus = bus
         self._end = MissionEnd()
-        self._setups = NodeSetups(spec, server.stack, clock)
+        self._setups = setups
         self._restarts = RestartPolicy(spec, supervisor, self._setups, bus, self._end)
 
-    def fly(self, order: MessageOrder, taps: Sequence[MessageTap], *, keep_messages: bool) -> FlownMission:
+    def fly(
+        self, order: MessageOrder, taps: Sequence[MessageTap], true_path: Path, *, keep_messages: bool
+    ) -> FlownMission:
         """Fly from the start of the processes to their end."""
         bus, recorder, end = self._bus, self._bus.recorder, self._end
         for process in self._setups.processes:
@@ -124,8 +137,12 @@ class _Mission:
         outcome = mission_outcome(
             self._spec, end, trace, bus, self._supervisor.members, fixed_pids=self._server.fixed_pids
         )
+        path = read(true_path, end.time_ns)
+        if self._spec.fault is None:
+            judged = judge_properties(self._spec, path, path)
+            outcome = outcome.model_copy(update={"properties": judged})
         messages = recorder.until(end.time_ns) if keep_messages else None
-        return FlownMission(outcome, trace, messages, order.late)
+        return FlownMission(outcome, trace, path, end.time_ns, messages, order.late)
 
     def _run(self, order: MessageOrder, taps: Sequence[MessageTap]) -> None:
         """Handle messages and processes until all up to the mission's end is recorded."""

@@ -17,6 +17,7 @@ import numpy as np
 from deploy.errors import DisturbedFlightError
 from deploy.mission.flight import FlownMission, Watch, fly
 from deploy.mission.fork_server import ForkServer
+from deploy.mission.judgement import judge_harm, judge_properties
 from deploy.recording.live_feed import LiveFeed
 from deploy.recording.mcap_recorder import McapRecorder, MessageTap
 from deploy.recording.propagation import propagation
@@ -152,7 +153,7 @@ def _drawn(fault: FaultSpec, golden: Outcome, draw: np.random.Generator, times: 
 
 
 def compare(flight: FlownMission, twin: FlownMission) -> Outcome:
-    """The faulty flight's outcome compared with its golden twin: divergence, benign or SDC.
+    """The faulty flight's outcome compared with its golden twin: divergence, benign or SDC, and harm.
 
     In real time no two flights have the same messages: there only the qualities of flight are compared.
     """
@@ -172,11 +173,14 @@ def compare(flight: FlownMission, twin: FlownMission) -> Outcome:
     passed_on = None
     if repeats and flight.messages is not None and twin.messages is not None:
         passed_on = propagation(flight.messages, twin.messages, flight.outcome.injection)
-    return flight.outcome.model_copy(
+    properties = judge_properties(golden.spec, flight.true_path, twin.true_path)
+    outcome = flight.outcome.model_copy(update={"properties": properties})
+    return outcome.model_copy(
         update={
             "topics": topics,
             "nodes": {stage: judged(stage, report) for stage, report in flight.outcome.nodes.items()},
             "golden": GoldenTwin(result=golden.result, qof=golden.qof, digest=golden.digest),
             "propagation": passed_on,
+            "harm": judge_harm(outcome, golden, flight.end_ns),
         }
     )

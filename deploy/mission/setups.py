@@ -10,16 +10,21 @@ from deploy.config.processes import ProcessDeclaration
 from services.kernels import KERNELS
 from services.models.faults.specification import Trigger
 from services.models.mission import MissionSpec
+from services.models.oracles.harm import HarmSpec
 from services.models.platform import KernelLatency
 from services.runtime.node import DETECTOR
 from services.runtime.setup import NodeSetup
 
+SIMULATOR = "sim"
+
 
 def spec_for_stages(spec: MissionSpec) -> MissionSpec:
-    """The specification with no more of the injection point than the call that is struck.
+    """The specification with no more of the injection point than the call that is struck, and no oracles.
 
     A replay knows the instruction, too, but its nodes must begin with the same memory as the first time.
+    Nor does it matter to a node what its flight is judged by.
     """
+    spec = spec.model_copy(update={"properties": (), "harm": HarmSpec()})
     fault = spec.fault
     if fault is None or fault.trigger is None or fault.level != "instruction":
         return spec
@@ -31,12 +36,18 @@ def spec_for_stages(spec: MissionSpec) -> MissionSpec:
 class NodeSetups:
     """The processes that a mission needs of a ``stack``, in the order of their start, and their setups.
 
-    ``clock`` is the page of the flight's clock in real time, None in virtual time.
+    ``clock`` is the page of the flight's clock in real time, None in virtual time; the simulator is to write
+    its true path to the file ``true_path``.
     """
 
     def __init__(
-        self, spec: MissionSpec, stack: Mapping[str, ProcessDeclaration], clock: Path | None
+        self,
+        spec: MissionSpec,
+        stack: Mapping[str, ProcessDeclaration],
+        clock: Path | None,
+        true_path: Path,
     ) -> None:
+        self._true_path = true_path
         self._spec = spec
         self._clock = clock
         fault, detector = spec.fault, spec.detector
@@ -64,6 +75,7 @@ class NodeSetups:
             latencies=dict(self._latencies),
             expected=self.names,
             clock=self._clock,
+            true_path=self._true_path if process.name == SIMULATOR else None,
         )
 
     def _kernels(self, name: str) -> list[str]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from services.bus.message_checks import ALL_CHECKS, Checks
 from services.bus.topics import PLANNER, Topic
@@ -17,6 +17,8 @@ from services.models.base import Strict
 from services.models.detection import DetectorSpec
 from services.models.equipment import PROFILES, Camera, Imu, MapSettings, Motion, Odometry, Wind
 from services.models.faults.specification import FaultSpec
+from services.models.oracles.harm import HarmSpec
+from services.models.oracles.properties import PropertyText
 from services.models.own_stack import OwnStack, OwnStage
 from services.models.pilots import PILOTS, GuardName, Guards, Pace, PilotName
 from services.models.platform import PlatformDefinition
@@ -92,6 +94,8 @@ class MissionSpec(Strict):
     stack: OwnStack | None = None
     fault: FaultSpec | None = None
     limits: Limits = Limits()
+    properties: tuple[PropertyText, ...] = Field(default=(), max_length=50)
+    harm: HarmSpec = HarmSpec()
 
     @property
     def active_guards(self) -> Guards:
@@ -117,6 +121,15 @@ class MissionSpec(Strict):
     def world_name(self) -> str:
         """The name of the mission's world."""
         return _label(self.world)
+
+    @field_validator("properties")
+    @classmethod
+    def _each_once(cls, properties: tuple[str, ...]) -> tuple[str, ...]:
+        twice = next((one for one in properties if properties.count(one) > 1), None)
+        if twice is not None:
+            message = f"twice the same property: {twice}"
+            raise ValueError(message)
+        return properties
 
     @model_validator(mode="before")
     @classmethod

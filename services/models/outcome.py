@@ -10,6 +10,8 @@ from services.models.base import Strict
 from services.models.detection import DetectionReport
 from services.models.faults.specification import FaultModel, Trigger
 from services.models.mission import MissionSpec
+from services.models.oracles.harm import HarmEvent
+from services.models.oracles.properties import PropertyResult
 from services.models.pilots import GuardName
 from services.models.propagation import Propagation
 
@@ -221,6 +223,10 @@ class Outcome(Strict):
     injection: InjectionRecord | None = None
     detection: DetectionReport | None = None
     golden: GoldenTwin | None = None
+    properties: list[PropertyResult] = Field(default=[], description="in the order of the specification")
+    harm: list[HarmEvent] | None = Field(
+        default=None, description="beside the golden twin; empty: unharmed, none: a flight without a twin"
+    )
     recording: RecordingReport | None = None
     propagation: Propagation | None = Field(default=None, description="of a recorded flight with a fault")
     refused_messages: int = Field(default=0, description="not recorded: no sequence number, or an old one")

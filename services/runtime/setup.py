@@ -14,7 +14,8 @@ class NodeSetup(Strict):
 
     ``life`` counts its restarts, ``start_ns`` is the virtual time at which it is there, ``published``
     says how many messages of its topics exist, ``resume_from`` where its inputs begin; ``clock`` is the
-    page of the flight's clock in real time.
+    page of the flight's clock in real time. ``true_path`` is the file to which the simulator writes its true
+    state, beside the bus.
     """
 
     name: str
@@ -27,3 +28,4 @@ class NodeSetup(Strict):
     published: dict[str, int] = {}
     resume_from: dict[str, int] = {}
     clock: Path | None = None
+    true_path: Path | None = None

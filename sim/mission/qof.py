@@ -44,13 +44,15 @@ class FlightMeter:
         self._time_s = 0.0
         self._totals = Totals(0.0, 0.0, hull_clearance(world.start, world.obstacles, self._hull))
 
-    def add(self, track: Floats) -> None:
+    def add(self, track: Floats) -> Floats:
         """Takes up the next stretch: ``track`` (n, 14) as :meth:`Vehicle.advance` returns it.
 
-        Its first row is the last one of the stretch before.
+        Its first row is the last one of the stretch before. The clearance in m of each row comes back (n,).
         """
-        self._totals = measure(self._totals, track, self._fixed, self._moving, self._hull, self._power)
+        near = clearances(track, self._fixed, self._moving, self._hull)
+        self._totals = measure(self._totals, track, near, self._power)
         self._time_s = float(track[-1, 0])
+        return near
 
     def qof(self, *, success: bool, replans: int) -> QoF:
         """Quality of the flight so far; the minimum clearance is infinite without obstacles."""
@@ -85,20 +87,30 @@ def hull_clearance(position: Floats, obstacles: Floats, hull: Hull) -> float:
 
 
 @njit(cache=True)
-def measure(
-    before: Totals, track: Floats, fixed: Floats, moving: Floats, hull: Hull, power: PowerModel
-) -> Totals:
-    """``before`` and a track (n, 14) together, among boxes that stand (k, 6) and obstacles that move (m, 11).
+def clearances(track: Floats, fixed: Floats, moving: Floats, hull: Hull) -> Floats:
+    """The hull's clearance in m at each row of a track (n, 14): (n,).
+
+    From boxes that stand (k, 6) and obstacles that move (m, 11), where they are at the row's time.
+    """
+    found = np.empty(len(track))
+    for k in range(len(track)):
+        found[k] = hull_clearance(track[k, 1:4], fixed, hull)
+        if len(moving):
+            there = boxes_at(moving, track[k, 0])
+            found[k] = min(found[k], hull_clearance(track[k, 1:4], there, hull))
+    return found
+
+
+@njit(cache=True)
+def measure(before: Totals, track: Floats, near: Floats, power: PowerModel) -> Totals:
+    """``before`` and a track (n, 14) with its clearances ``near`` (n,) together.
 
     Between two rows the vehicle moves with their mean velocity and the acceleration that leads from
     one velocity to the other.
     """
     distance, energy, clearance = before.distance_m, before.energy_j, before.min_clearance_m
     for k in range(len(track)):
-        clearance = min(clearance, hull_clearance(track[k, 1:4], fixed, hull))
-        if len(moving):
-            there = boxes_at(moving, track[k, 0])
-            clearance = min(clearance, hull_clearance(track[k, 1:4], there, hull))
+        clearance = min(clearance, near[k])
         if k == 0:
             continue
         old, new = track[k - 1], track[k]

@@ -20,6 +20,36 @@ def _of(path: str, tests: str, *changes: tuple[str, str, str]) -> list[Mutant]:
 
 MUTANTS: list[Mutant] = [
     *_of(
+        "services/models/oracles/properties.py",
+        "tests/services/models/oracles/test_properties.py",
+        ("properties: <= counts as >=", "    if not wanted.at_least:\n", "    if False:\n"),
+        (
+            "properties: the value that holds at the interval's beginning is left out",
+            'wanted.from_s, side="right")) - 1, 0)',
+            'wanted.from_s, side="left")), 0)',
+        ),
+        ("properties: a margin of nothing violates", "holds = robustness >= 0.0", "holds = robustness > 0.0"),
+    ),
+    *_of(
+        "deploy/mission/judgement.py",
+        "tests/deploy/mission/test_judgement.py",
+        (
+            "judgement: what the twin violates, too, is harm",
+            "for one in twin.properties if one.holds}",
+            "for one in twin.properties}",
+        ),
+        (
+            "judgement: the deviation is to points",
+            "found = np.minimum(found, np.linalg.norm(points - foot, axis=1))",
+            "found = np.minimum(found, found)",
+        ),
+        (
+            "judgement: a mission that the twin loses, too, is harm",
+            "    if twin.qof.success:\n",
+            "    if True:\n",
+        ),
+    ),
+    *_of(
         "services/bus/horizon.py",
         "tests/services/bus/test_horizon.py",
         (

@@ -44,6 +44,7 @@ class CellSummary(Strict):
     aimed: int = Field(description="flown with a fault")
     injected: int = Field(description="of those, the fault was there when read back")
     results: dict[str, int] = Field(description="of the node aimed at, of the injected flights")
+    harmed: int | None = Field(description="of the injected flights; none where it is not known of any")
     effects: dict[Effect, int] = Field(description="what the detector made of the faults, if there is one")
 
 
@@ -70,6 +71,7 @@ def _summary(cell: Cell, records: Sequence[FlightRecord], made: Counter[Effect])
     failed = sum(record.phase == "failed" for record in records)
     arrived = [result for result in flown if result.success]
     injected = [result for result in flown if result.injection == "injected"]
+    known = [result for result in injected if result.harm is not None]
     low, high = wilson(len(arrived), len(flown))
     return CellSummary(
         **cell._asdict(),
@@ -87,6 +89,7 @@ def _summary(cell: Cell, records: Sequence[FlightRecord], made: Counter[Effect])
         aimed=sum(result.injection != "" for result in flown),
         injected=len(injected),
         results=_counted(injected),
+        harmed=sum(one.harm != "" for one in known) if known else None,
         effects={word: made[word] for word in EFFECTS if made},
     )
 

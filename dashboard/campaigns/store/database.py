@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from deploy.config.check import BadSpecError
 
-REVISION = "0006"
+REVISION = "0007"
 """The newest step in ``migrations/versions``."""
 
 

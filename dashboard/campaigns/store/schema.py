@@ -96,6 +96,8 @@ class ResultRow(Base):
     twin_digest: Mapped[str] = mapped_column(default="", server_default="")
     alarms: Mapped[int | None]
     recomputed: Mapped[int] = mapped_column(default=0, server_default="0")
+    harm: Mapped[str | None]
+    harmed_at_s: Mapped[float | None]
     digest: Mapped[str]
     wall_s: Mapped[float]
     outcome: Mapped[str] = mapped_column(Text)

@@ -57,6 +57,7 @@ def quality_table() -> ui.table:
             ("per_success", "kJ per success"),
             ("replans", "replans"),
             ("hit", "hit"),
+            ("harm", "harm"),
             ("nodes", "injected node"),
             ("effects", "detector"),
         )
@@ -85,6 +86,7 @@ def _quality(label: str, one: CellSummary) -> Row:
         "per_success": _number(one.energy_per_success_kj),
         "replans": _number(one.replans),
         "hit": f"{one.injected} of {one.aimed}" if one.aimed else "-",
+        "harm": "-" if one.harmed is None else str(one.harmed),
         "nodes": ", ".join(f"{count} {name}" for name, count in one.results.items()) or "-",
         "effects": ", ".join(f"{count} {word}" for word, count in one.effects.items() if count) or "-",
     }

@@ -22,7 +22,12 @@ GOLDEN, FLIP = Cell("golden", "sparse", ""), Cell("flip", "sparse", "")
 
 
 def result(
-    *, success: bool = True, time_s: float = 20.0, injection: str = "", node_result: str = ""
+    *,
+    success: bool = True,
+    time_s: float = 20.0,
+    injection: str = "",
+    node_result: str = "",
+    harm: str | None = "",
 ) -> Result:
     faulty = injection != ""
     return Result(
@@ -44,6 +49,8 @@ def result(
         twin_digest="twin" if faulty else "",
         alarms=None,
         recomputed=0,
+        harm=harm if faulty else None,
+        harmed_at_s=12.5 if faulty and harm else None,
         digest="",
         wall_s=1.0,
     )
@@ -61,7 +68,7 @@ FLIPS = records(
     [
         result(injection="injected", node_result="benign"),
         result(injection="injected", node_result="sdc", time_s=26.0),
-        result(injection="injected", node_result="crash", success=False),
+        result(injection="injected", node_result="crash", success=False, harm="mission_lost"),
         result(injection="not_reached", node_result="benign"),
         None,
     ],
@@ -77,6 +84,20 @@ def test_every_denominator_is_shown() -> None:
     assert flip.results == {"benign": 1, "sdc": 1, "crash": 1}
     assert flip.flight_time_s == 20.0
     assert flip.energy_per_success_kj == pytest.approx(40 / 3)
+
+
+def test_harm_is_counted_of_injected_flights_of_which_it_is_known(tmp_path: Path) -> None:
+    golden, flip = summarise([GOLDEN, FLIP], [*records(GOLDEN, [result()] * 4), *FLIPS], {})
+    assert (golden.harmed, flip.harmed) == (None, 1)
+    before = [result(injection="injected", harm=None)]
+    assert summarise([FLIP], records(FLIP, before), {})[0].harmed is None
+    export.write(FLIPS, tmp_path / "runs.csv")
+    export.write_summary([flip], tmp_path / "cells.csv")
+    with (tmp_path / "runs.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["harm"], row["harmed_at_s"]) for row in rows[1:3]] == [("", ""), ("mission_lost", "12.5")]
+    with (tmp_path / "cells.csv").open() as file:
+        assert [row["harmed"] for row in csv.DictReader(file)] == ["1"]
 
 
 def test_a_cell_without_flights_knows_nothing() -> None:

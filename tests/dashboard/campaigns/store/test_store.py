@@ -24,6 +24,7 @@ from dashboard.campaigns.store.store import BusyError, Store
 from deploy.config.check import BadSpecError
 from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.mission import MissionSpec
+from services.models.oracles.harm import HarmEvent
 from services.models.outcome import NO_FLIGHT, InjectionRecord, NodeReport, Outcome
 
 SPEC = CampaignSpec(name="x", runs=3, arms=(Arm(name="a"), Arm(name="b", fault=FaultSpec(target="pid"))))
@@ -39,6 +40,7 @@ def outcome(digest: str = "d") -> Outcome:
         nodes={"control": NodeReport(result="sdc")},
         topics={},
         injection=InjectionRecord(status="injected", node="control", kernel="pid", invocation=1),
+        harm=[HarmEvent(kind="too_slow", at_ns=1_250_000_000)],
     )
 
 
@@ -78,6 +80,7 @@ def test_a_result_is_read_back_as_it_was_written(store: Store) -> None:
         "control",
         "sdc",
     )
+    assert (first.result.harm, first.result.harmed_at_s) == ("too_slow", 1.25)
     assert [other.result for other in others] == [None] * 5
     assert store.find("x-1").phase == "running"
     assert store.progress(campaign) == {"done": 1, "queued": 5}
@@ -185,6 +188,21 @@ def test_a_store_of_an_older_form_is_brought_up_to_date(where: str, tmp_path: Pa
             assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
 
 
+def test_of_flights_from_before_harm_is_not_known(where: str, tmp_path: Path) -> None:
+    with closing(Store(where)) as store:
+        flown(store, store.create(SPEC), 1)
+    engine = raw(where, tmp_path)
+    with engine.begin() as connection:
+        for column in ("harm", "harmed_at_s"):
+            connection.execute(sa.text(f"ALTER TABLE results DROP COLUMN {column}"))
+        connection.execute(sa.text("UPDATE alembic_version SET version_num = '0006'"))
+    engine.dispose()
+    with closing(Store(where)) as store:
+        first = next(store.records(store.find("x-1")))
+        assert first.result is not None
+        assert (first.result.flight_time_s, first.result.harm, first.result.harmed_at_s) == (1.5, None, None)
+
+
 DOCUMENTS = (("campaigns", "id", "spec"), ("runs", "id", "spec"), ("results", "run_id", "outcome"))
 """Table, key and column of the JSON that is stored."""
 
@@ -233,7 +251,7 @@ def test_sites_and_records_of_an_older_form_keep_their_precision(
                     sa.text(f"UPDATE {table} SET {column} = :text WHERE {key} = :number"),  # noqa: S608 - ours
                     {"text": json.dumps(older(document)), "number": number},
                 )
-        for column in ("replay", "twin_digest", "alarms", "recomputed"):
+        for column in ("replay", "twin_digest", "alarms", "recomputed", "harm", "harmed_at_s"):
             connection.execute(sa.text(f"ALTER TABLE results DROP COLUMN {column}"))
         connection.execute(sa.text("UPDATE alembic_version SET version_num = '0003'"))
         assert documents(connection) != before
