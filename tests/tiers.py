@@ -32,6 +32,7 @@ UNIT = (
     "tests/deploy/compose/test_logs.py",
     "tests/deploy/compose/test_state_machine.py",
     "tests/deploy/config/test_platform.py",
+    "tests/deploy/mission/test_harm.py",
     "tests/deploy/recording/test_flight_status.py",
     "tests/deploy/recording/test_mcap_recorder.py",
     "tests/deploy/recording/test_ordering.py",

@@ -32,7 +32,7 @@ MUTANTS: list[Mutant] = [
     ),
     *_of(
         "deploy/mission/judgement.py",
-        "tests/deploy/mission/test_judgement.py",
+        "tests/deploy/mission/test_harm.py",
         (
             "judgement: what the twin violates, too, is harm",
             "for one in twin.properties if one.holds}",

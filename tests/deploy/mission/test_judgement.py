@@ -1,16 +1,12 @@
 """Flights are judged by their true path, and harm is what the golden twin does not have."""
 
-import numpy as np
 import pytest
 
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
-from deploy.mission.judgement import distance_to_path, judge_harm
 from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
-from services.models.oracles.harm import HarmSpec
 from services.models.oracles.properties import SIGNALS
-from services.models.outcome import QoF
 
 SHORT = Limits(mission_time_s=6.0)
 JUDGED = ("always clearance >= 0.3", "always deviation <= 0.01", "always flight_time <= 5")
@@ -43,31 +39,3 @@ def test_only_what_the_twin_kept_is_harm(pairs: PairFlyer) -> None:
     assert outcome.harm is not None
     assert [(one.kind, one.property) for one in outcome.harm] == [("property_violated", JUDGED[1])]
     assert 3_000_000_000 < outcome.harm[0].at_ns < 6_000_000_000
-
-
-def test_a_lost_or_late_mission_is_harm_where_the_twins_succeeded(pairs: PairFlyer) -> None:
-    flown = pairs.fly(MissionSpec(seed=7, limits=SHORT, harm=HarmSpec(time_factor=1.2)))
-
-    def told(flight: QoF, twin: QoF) -> list[tuple[str, int]]:
-        events = judge_harm(
-            flown.model_copy(update={"qof": flight}),
-            flown.model_copy(update={"qof": twin}),
-            round(flight.flight_time_s * 1e9),
-        )
-        return [(one.kind, one.at_ns) for one in events]
-
-    lost = flown.qof
-    arrived = lost.model_copy(update={"success": True})
-    late = arrived.model_copy(update={"flight_time_s": 1.25 * arrived.flight_time_s})
-    both = late.model_copy(update={"success": False})
-    assert told(arrived, arrived) == told(lost, lost) == told(late, lost) == []
-    assert told(lost, arrived) == [("mission_lost", 6_000_000_000)]
-    assert told(late, arrived) == [("too_slow", 7_200_000_000)]
-    assert told(both, arrived) == [("too_slow", 7_200_000_000), ("mission_lost", 7_500_000_000)]
-
-
-def test_the_deviation_is_that_from_the_path_not_from_its_points() -> None:
-    east = [[float(x), 0.0, 0.0] for x in (0, 0, 1, 2, 3, 4)]
-    path = np.array([*east, *([4.0, float(y), 0.0] for y in (1, 2, 3))])
-    points = np.array([[2.4, 1.0, 0.0], [4.0, 3.0, 0.0], [5.0, 1.0, 0.0], [4.0, 4.0, 2.0]])
-    assert distance_to_path(points, path) == pytest.approx([1.0, 0.0, 1.0, 5.0**0.5])
