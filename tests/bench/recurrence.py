@@ -17,7 +17,7 @@ from services.models.mission import MissionSpec
 FAULTS = (
     "recurrence=permanent,opcodes=vmulsd,bit_numbers=0",
     "recurrence=intermittent,probability=0.005,register_class=vector,bit_numbers=0",
-    "recurrence=intermittent,probability=0.1,register_class=vector,bit_numbers=0",
+    "recurrence=intermittent,probability=0.1,register_class=vector,model=none",
     "recurrence=rate,rate_hz=1000.0,register_class=vector,bit_numbers=0",
 )
 """All strike ``pid`` where it does little harm: the flights are to be as long as their twins."""

@@ -884,4 +884,59 @@ MUTANTS: list[Mutant] = [
             "self._moving.moved(0.0)",
         ),
     ),
+    *_of(
+        "injector/recurrence/schedule.py",
+        "tests/injector/recurrence/test_schedule.py",
+        (
+            "recurrence: an execution is struck by what would come in two",
+            "-math.expm1(-expected / executions)",
+            "-math.expm1(-2 * expected / executions)",
+        ),
+        (
+            "recurrence: each call is struck alike",
+            'rng.generator(seed, f"executions {fault.target}", fault.seed, invocation)',
+            'rng.generator(seed, f"executions {fault.target}", fault.seed)',
+        ),
+    ),
+    *_of(
+        "injector/recurrence/strike_code.py",
+        "tests/injector/recurrence/test_struck_calls.py",
+        (
+            "recurrence: a strike changes the flags",
+            "out.put(_POP_FLAGS)",
+            'out.put(bytes.fromhex("488d642408"))',
+        ),
+        (
+            "recurrence: strikes by code are not counted",
+            "out.beside(_INCREMENT, words.strikes)",
+            "pass",
+        ),
+    ),
+    *_of(
+        "injector/recurrence/unwinding.py",
+        "tests/injector/recurrence/test_struck_calls.py",
+        (
+            "recurrence: no exception finds its way",
+            "        _replace_returns(tid, process, returns)\n",
+            "",
+        ),
+    ),
+    *_of(
+        "injector/recurrence/struck_code.py",
+        "tests/injector/recurrence/test_struck_calls.py",
+        (
+            "recurrence: a copy counts in its node's memory",
+            "(process or self._process).read_memory(word, _WORD.size)",
+            "self._process.read_memory(word, _WORD.size)",
+        ),
+    ),
+    *_of(
+        "services/models/outcome.py",
+        "tests/services/models/test_outcome.py",
+        (
+            "recurrence: of the strikes of a call one counts",
+            "strikes + max(record.strikes, 1)",
+            "strikes + 1",
+        ),
+    ),
 ]
