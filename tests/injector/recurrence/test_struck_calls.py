@@ -16,6 +16,7 @@ from injector.tracing.elf import code_sections
 from injector.tracing.process import Process, ProcessIdentity
 from services.models.faults.specification import FaultSpec
 from services.models.outcome import STRIKES_KEPT, InjectionRecord
+from tests.injector.conftest import may_inject  # noqa: F401 - wrong changes are tried without conftest.py
 from tests.injector.forked_calls import Standing, standing
 from tests.injector.small_process import in_small_process
 
