@@ -22,6 +22,7 @@ from dashboard.campaigns.store.database import StoreError
 from dashboard.commands.announce import announce
 from dashboard.commands.bench import bench
 from dashboard.commands.campaign import as_picture, campaign
+from dashboard.commands.harm import harm
 from dashboard.commands.inject import inject
 from dashboard.commands.kernels import kernels
 from dashboard.commands.recordings import propagation, view
@@ -159,6 +160,7 @@ def fly(
 zenfi.add_command(world)
 zenfi.add_command(announce)
 zenfi.add_command(bench)
+zenfi.add_command(harm)
 zenfi.add_command(inject)
 zenfi.add_command(kernels)
 zenfi.add_command(replay)

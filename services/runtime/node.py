@@ -64,6 +64,7 @@ class Node:
             if fault is not None and fault.level == "source"
             else None
         )
+        self._corrupted: Any = None
         self.recovery = Recovery(self, setup.spec.detector)
         self._inputs: dict[str, Input] = {}
         self._published = {
@@ -93,6 +94,7 @@ class Node:
         """Publish ``message`` as ready at the node's virtual time; return what was published."""
         begin = time.perf_counter_ns()
         self.corrupt(topic, message)
+        self._corrupted = None
         self._tell(topic, message)
         self._published[topic] += 1
         self._page["messaging_wall_ns"] += time.perf_counter_ns() - begin
@@ -104,10 +106,14 @@ class Node:
         self._proxy.tell(proxy_link.PUT, TOPIC_NUMBERS[topic], self.now_ns, payload=payload)
 
     def corrupt(self, topic: str, message: Any) -> None:
-        """Let the mission's source-level fault strike ``message``, the topic's next, if it is the one."""
+        """Let the mission's source-level fault strike ``message``, the topic's next, if it is the one.
+
+        A message has one chance, whether it is shown to a detector before it is published or not.
+        """
         fault = self._source_fault
-        if fault is None or fault.topic != topic:
+        if fault is None or fault.topic != topic or message is self._corrupted:
             return
+        self._corrupted = message
         for record in fault.strike(message, self._published[topic], self.now_ns):
             self._tell("injection", Injection(record=record.model_dump_json(by_alias=True)))
 

@@ -885,6 +885,15 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "services/runtime/node.py",
+        "tests/deploy/mission/test_source_level.py",
+        (
+            "recurrence: a message that a detector may see is struck twice",
+            "or message is self._corrupted:",
+            "or False:",
+        ),
+    ),
+    *_of(
         "injector/recurrence/schedule.py",
         "tests/injector/recurrence/test_schedule.py",
         (

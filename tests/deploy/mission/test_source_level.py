@@ -80,7 +80,10 @@ def test_a_fault_that_comes_back_is_counted_and_repeats(
     assert record.status == "injected"
     assert record.strikes == len(record.struck) > 5
     assert record.struck[0].virtual_time_ns == record.virtual_time_ns
-    assert [one.invocation for one in record.struck] == sorted(one.invocation for one in record.struck)
+    struck = [one.invocation for one in record.struck]
+    # A message that a detector may see before it is published is struck once; two upsets may come in one.
+    assert struck == sorted(struck if "rate_hz" in recurrence else set(struck))
+    assert outcome.topics["command"].diverged_at_s == pytest.approx(record.virtual_time_ns / 1e9, abs=1e-3)
     assert record.struck[-1].virtual_time_ns <= outcome.qof.flight_time_s * 1e9
     assert all(one.after == one.read_back != one.before for one in record.struck)
     assert replay(outcome, server).answer == "replayed"
