@@ -19,7 +19,7 @@ from tests.injector.small_process import in_small_process
 pytestmark = pytest.mark.usefixtures("may_inject")
 
 FAULT = FaultSpec(target="pid", scope="thread")
-POINTS = 40
+POINTS = 12
 TWICE = 10**6
 
 
@@ -40,16 +40,13 @@ def points_of(trace: list[int], indices: list[int]) -> list[SamplePoint]:
     return [SamplePoint(index=at, address=trace[at], hit=trace[: at + 1].count(trace[at])) for at in indices]
 
 
+IN_THE_GATE = {"a switch", "a jump over many calls"}
+
+
 @pytest.mark.parametrize(
-    "name", ["recursion", "a switch", "flags that are carried on", "a jump over many calls"]
+    "name", [pytest.param(one, marks=[pytest.mark.soak] * (one not in IN_THE_GATE)) for one in CALLS]
 )
 def test_each_point_is_met_where_single_steps_number_it(tmp_path: Path, name: str) -> None:
-    in_small_process(points_are_those_of_steps, tmp_path, CALLS[name])
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("name", ["pointers to functions", "calls of the kernel", "libraries"])
-def test_each_point_of_libraries_is_met_where_single_steps_number_it(tmp_path: Path, name: str) -> None:
     in_small_process(points_are_those_of_steps, tmp_path, CALLS[name])
 
 

@@ -84,6 +84,7 @@ def draws_are_as_steps_count(_folder: Path) -> None:
         assert chisquare(often, expected).pvalue > 0.01
 
 
+@pytest.mark.soak
 def test_the_same_numbers_draw_the_same_whatever_else_is_drawn(tmp_path: Path) -> None:
     in_small_process(numbers_draw_the_same, tmp_path)
 
