@@ -28,7 +28,7 @@ from deploy.config.check import BadSpecError
 from services.models.oracles.harm import HARM_KINDS
 
 CAUSES: tuple[HarmCause, ...] = get_args(HarmCause)
-_HEADS = {"mission_lost": "lost", "property_violated": "property", "too_slow": "slow"}
+_HEADS = {"mission_lost": "lost", "property_violated": "rule", "too_slow": "slow"}
 
 _file = click.Path(path_type=Path, dir_okay=False)
 
@@ -84,18 +84,23 @@ def show(file: Path, as_json: bool) -> None:
 
 
 def _table(found: Sequence[HarmfulFault]) -> Table:
-    table = Table(box=SIMPLE, show_footer=True, title="harmful faults, by what was struck")
+    title = "harmful faults, by what was struck"
+    caption = "lost: missions; rule: a property violated; first off: the first topic that left its twin's"
+    table = Table(
+        box=SIMPLE, show_footer=True, title=title, caption=caption, pad_edge=False, collapse_padding=True
+    )
     table.add_column("struck", footer="all", no_wrap=True)
-    table.add_column("faults", footer=str(len(found)), justify="right")
+    table.add_column("faults", footer=str(len(found)), justify="right", no_wrap=True)
     columns = [*CAUSES, *HARM_KINDS]
     total = _counted(found)
     for name in columns:
-        table.add_column(_HEADS.get(name, name), footer=str(total[name]), justify="right")
-    table.add_column("first off its twin")
+        head = _HEADS.get(name, name)
+        table.add_column(head, footer=str(total[name]), justify="right", no_wrap=True)
+    table.add_column("first off", no_wrap=True, max_width=16)
     for target in sorted({one.target for one in found}):
         those = [one for one in found if one.target == target]
         counts = _counted(those)
-        topics = Counter(one.first_topic or "none" for one in those).most_common(2)
+        topics = Counter(one.first_topic or "none" for one in those).most_common(1)
         first = ", ".join(f"{name} {count}" for name, count in topics)
         table.add_row(target, str(len(those)), *(str(counts[name]) for name in columns), first)
     return table
