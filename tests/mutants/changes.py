@@ -304,6 +304,15 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "dashboard/web/components/views.py",
+        "tests/dashboard/web/components/test_views.py",
+        (
+            "dashboard: what the first time took is a measure",
+            "cost_s = 0.0",
+            "pass",
+        ),
+    ),
+    *_of(
         "dashboard/campaigns/stopping.py",
         "tests/dashboard/campaigns/test_scheduler.py",
         (

@@ -57,6 +57,8 @@ class SharedValue(Generic[T]):
             rested = hurry or time.monotonic() >= self._rested_s
             if self._kept is None or (self._kept[0] != mark and rested):
                 value, cost_s = await ask(self._timed)
+                if self._kept is None:
+                    cost_s = 0.0  # no measure of the next: code was loaded, and nothing was in a cache
                 self._kept = mark, value
                 self._rested_s = time.monotonic() + max(self._least_s, REST * cost_s)
             return self._kept[1]
