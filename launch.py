@@ -41,11 +41,15 @@ JOBS = {
 """The commands of each job. They run side by side; the last one, which is given further arguments, is shown
 as it goes, the others whole when all have ended."""
 
-OWN_PROCESS = ("tests/dashboard", "tests/deploy")
-PARTS = (*([one] for one in OWN_PROCESS), [f"--ignore={one}" for one in OWN_PROCESS])
-"""What is added for three processes to run all of the gate's tests side by side, each for about as long.
+PARTS = (
+    ["tests/dashboard", "--ignore=tests/dashboard/web"],
+    ["tests/dashboard/web", "tests/injector"],
+    ["tests/deploy/mission"],
+    ["--ignore=tests/dashboard", "--ignore=tests/injector", "--ignore=tests/deploy/mission"],
+)
+"""What is added for processes to run all of the gate's tests side by side, each for about as long.
 
-Many tests wait for what they started: on two processors, two processes leave much of the time unused.
+Many tests wait for what they started: as many processes as processors would leave much of the time unused.
 """
 
 

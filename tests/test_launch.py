@@ -44,11 +44,18 @@ def test_commands_end_with_it(tmp_path: Path) -> None:
         assert running.wait(60) != 0
 
 
-def test_the_parts_are_all_tests_of_the_gate() -> None:
-    parts = launch.commands("test", [])[-3:]
-    chosen = [["tests/dashboard"], ["tests/deploy"], ["--ignore=tests/dashboard", "--ignore=tests/deploy"]]
-    assert parts == [["pytest", "-m", "not soak", *part] for part in chosen]
-    assert all((ROOT / name).is_dir() for name in launch.OWN_PROCESS)
+def test_each_file_of_the_gate_is_in_one_part() -> None:
+    parts = [command for command in launch.commands("test", []) if command[0] == "pytest"]
+    assert parts == [["pytest", "-m", "not soak", *part] for part in launch.PARTS]
+
+    def runs(part: list[str], file: Path) -> bool:
+        left_out = [ROOT / one.removeprefix("--ignore=") for one in part if one.startswith("--ignore=")]
+        chosen = [ROOT / one for one in part if not one.startswith("--")] or [ROOT]
+        assert all(folder.is_dir() for folder in (*chosen, *left_out))
+        return any(map(file.is_relative_to, chosen)) and not any(map(file.is_relative_to, left_out))
+
+    for file in (ROOT / "tests").rglob("test_*.py"):
+        assert [runs(part, file) for part in launch.PARTS].count(True) == 1, file
 
 
 def test_tests_that_are_asked_for_run_once() -> None:
