@@ -9,6 +9,8 @@ from urllib.parse import unquote
 import pytest
 
 ROOT = Path(__file__).parents[1]
+pytestmark = pytest.mark.soak
+
 LINK = re.compile(r'<a [^>]*href="([^"]+)"')
 ANCHOR = re.compile(r' id="([^"]+)"')
 SCRIPT = re.compile(r"<script.*?</script>", re.DOTALL)

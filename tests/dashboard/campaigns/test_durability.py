@@ -178,7 +178,8 @@ def test_a_lost_fork_server_costs_no_run(
     assert not [folder for pid in family for folder in folders(pid)]
 
 
-@pytest.mark.parametrize("runs", [4, pytest.param(300, marks=pytest.mark.soak)])
+@pytest.mark.soak
+@pytest.mark.parametrize("runs", [4, 300])
 def test_flights_whose_processes_are_ended_from_outside_are_flown_again(tmp_path: Path, runs: int) -> None:
     """Nodes, their proxies and injectors, at moments drawn by chance; the first few soon."""
     calm, hard = tmp_path / "calm", tmp_path / "hard"

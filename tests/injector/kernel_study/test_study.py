@@ -26,7 +26,7 @@ from tests.injector.small_process import in_small_process
 pytestmark = pytest.mark.usefixtures("may_inject")
 
 FAULT = FaultSpec(target="pid", scope="thread")
-DRAWS, PARTS = 4000, 50
+DRAWS, PARTS = 2000, 50
 
 
 @contextmanager

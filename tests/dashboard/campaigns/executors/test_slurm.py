@@ -77,6 +77,7 @@ def until(executor: SlurmExecutor, wanted: type[object]) -> ExecutorReport:
     pytest.fail(f"no {wanted.__name__}")
 
 
+@pytest.mark.soak
 def test_the_same_outcomes_as_on_this_machine(tmp_path: Path, here: Outcomes) -> None:
     outcomes, attempts = flown(shards(tmp_path))
     assert outcomes == here
@@ -184,6 +185,7 @@ def test_what_is_asked_of_slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert {f"#SBATCH --{line}" for line in wanted} <= set(asked)
 
 
+@pytest.mark.soak
 def test_where_there_is_no_slurm_nothing_is_stored(tmp_path: Path) -> None:
     store, shared = tmp_path / "store", tmp_path / "shared"
     for folder, complaint in ((shared, b"No such file"), (tmp_path, b"no srun here")):

@@ -102,6 +102,7 @@ def test_seeds_use_all_of_their_32_bits(url: str) -> None:
         assert [record.seed for record in store.records(campaign)] == [2**32 - 3, 2**32 - 2]
 
 
+@pytest.mark.soak
 def test_a_second_campaign_is_forecast_from_the_first(url: str, tmp_path: Path) -> None:
     file = tmp_path / "short.toml"
     file.write_text(SHORT)
