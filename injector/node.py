@@ -271,10 +271,13 @@ class NodeGate:
             self._clock.leave_out(pause_ns)
 
     def wait(self) -> bool:
-        """Wait until the node is at the gate; False once the simulator and the node are gone."""
-        while self._waiting is None and not self._over:
+        """Wait until the node is at the gate and known; False once the simulator and the node are gone."""
+        while not self._is_there() and not self._over:
             self._take_in()
-        return self._waiting is not None
+        return self._is_there()
+
+    def _is_there(self) -> bool:
+        return self._waiting is not None and self._stage in self.announced
 
     def is_asked(self) -> bool:
         """Whether the node is at the gate again, or the flight over: its call is."""

@@ -31,6 +31,9 @@ from sim.mission.true_path import TruePath, read
 STALL_S = 20.0
 """Wall time without a message or promise after which somebody must be hanging outside a step."""
 
+LOOK_S = 1.0
+"""Between two looks no more wall time counts than this: the machine, or we, stood still."""
+
 GRACE_S = 2.0
 """Longest wait for the processes to end by themselves after the mission."""
 
@@ -148,23 +151,29 @@ class _Mission:
         """Handle messages and processes until all up to the mission's end is recorded."""
         bus, recorder, end = self._bus, self._bus.recorder, self._end
         last_look = bus.last_message_s = time.monotonic()
+        quiet_s = 0.0
         while end.result is None or not recorder.complete(end.time_ns):
             if bus.take_in(POLL_S):
                 end.look(recorder)
                 if taps:
                     _offer(taps, order.take(end.time_ns))
-            if time.monotonic() - last_look > POLL_S:
-                last_look = time.monotonic()
+            since_s = time.monotonic() - last_look
+            if since_s > POLL_S:
+                quiet_s = quiet_s + min(since_s, LOOK_S) if bus.last_message_s <= last_look else 0.0
+                last_look += since_s
                 self._restarts.handle_deaths()
                 self._supervisor.kill_hung()
-                if last_look - bus.last_message_s > STALL_S:
+                if quiet_s > STALL_S:
                     self._handle_stall()
-                    bus.last_message_s = last_look
+                    quiet_s = 0.0
             if end.result == "stack_failure":
                 return
 
     def _handle_stall(self) -> None:
         """Kill the process that keeps all others waiting without computing.
+
+        That is the node which the fault strikes, in the life in which it does: one that was restarted since
+        waits through a failure of ours.
 
         :raises DisturbedFlightError: if one was stopped from outside.
         :raises InfrastructureError: if none is to blame.
@@ -180,11 +189,12 @@ class _Mission:
             self._supervisor.kill_as_hung(members[DETECTOR])
             return
         fault = self._spec.fault
-        if fault is None or not members[aimed_at(fault)].alive:
+        struck = members[aimed_at(fault)] if fault is not None else None
+        if fault is None or struck is None or not struck.alive or (struck.life > 0 and not fault.recurs):
             tails = "; ".join(f"{one.process.name}: {one.log_tail}" for one in members.values())
             message = f"no process sent a message for {STALL_S:.0f} s ({tails})"
             raise InfrastructureError(message)
-        self._supervisor.kill_as_hung(members[aimed_at(fault)])
+        self._supervisor.kill_as_hung(struck)
 
 
 def _offer(taps: Sequence[MessageTap], batch: Sequence[SentMessage]) -> None:

@@ -128,7 +128,8 @@ class BusProxy:
     def _ready(self, inputs: list[str], watched: list[str], program: int | None = None) -> None:
         """Announce the node, or the ``program`` that computes for it, and wait until every node is announced.
 
-        A node that is announced before gossip has linked it to the others would miss their first
+        One that is restarted waits for nobody: others may have ended since, as the simulator does with the
+        mission. A node that is announced before gossip has linked it to the others would miss their first
         messages and have to fetch them; so it waits a little, though nothing depends on it.
         """
         for name in inputs:
@@ -142,7 +143,8 @@ class BusProxy:
         while len(self.session.info.peers_zid()) < others and time.monotonic() < deadline:
             time.sleep(0.0005)
         own = announce.announcement(self.name, self._computing(program))
-        self._listener.announce(own.key, set(self._setup.expected) - {self.name})
+        awaited = set(self._setup.expected) - {self.name} if self._setup.life == 0 else set()
+        self._listener.announce(own.key, awaited)
         self._node.answer(0)
 
     def _computing(self, program: int | None) -> int:

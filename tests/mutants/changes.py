@@ -50,6 +50,24 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "services/runtime/bus_proxy.py",
+        "tests/deploy/mission/test_misbehaviour.py",
+        (
+            "proxy: a node that is restarted waits for those that have ended",
+            "if self._setup.life == 0 else set()",
+            "if self._setup.life >= 0 else set()",
+        ),
+    ),
+    *_of(
+        "deploy/mission/flight.py",
+        "tests/deploy/mission/test_misbehaviour.py",
+        (
+            "flight: what keeps a node waiting after its restart is a hang of the fault's",
+            "(struck.life > 0 and not fault.recurs)",
+            "(struck.life > 9 and not fault.recurs)",
+        ),
+    ),
+    *_of(
         "services/bus/horizon.py",
         "tests/services/bus/test_horizon.py",
         (

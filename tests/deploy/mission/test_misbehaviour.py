@@ -9,9 +9,11 @@ import pytest
 
 from deploy.config.processes import STACK
 from deploy.errors import InfrastructureError
+from deploy.mission import flight
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from injector.tracing import ptrace
+from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 from services.system.process_stat import process_stat
 from tests.conftest import forked, node, wait_until
@@ -21,9 +23,9 @@ SPEC = MissionSpec(seed=7, limits=Limits(hang_cpu_s=1.0))
 
 
 @contextmanager
-def control_replaced_by(fixture: str) -> Iterator[ForkServer]:
-    module = f"tests.fixtures.nodes.{fixture}"
-    server = ForkServer({**STACK, "control": replace(STACK["control"], module=module)})
+def replaced(stage: str, by: str) -> Iterator[ForkServer]:
+    module = f"tests.fixtures.nodes.{by}"
+    server = ForkServer({**STACK, stage: replace(STACK[stage], module=module)})
     try:
         yield server
     finally:
@@ -32,7 +34,7 @@ def control_replaced_by(fixture: str) -> Iterator[ForkServer]:
 
 @pytest.mark.soak
 def test_a_hang_is_a_result_and_the_flight_repeats() -> None:
-    with control_replaced_by("hangs") as server:
+    with replaced("control", by="hangs") as server:
         first, second = fly(SPEC, server).outcome, fly(SPEC, server).outcome
     assert first.nodes["control"].result == "hang"
     assert first.nodes["control"].restarts == 1
@@ -60,7 +62,7 @@ def test_what_a_node_uses_while_it_is_traced_is_no_hang() -> None:
         ptrace.await_report(control)
         ptrace.detach(control)
 
-    with control_replaced_by("hangs") as server:
+    with replaced("control", by="hangs") as server:
         flown = fly_and(server, SPEC, trace).outcome
     assert traced_s[0] > 1.4 * SPEC.limits.hang_cpu_s
     assert flown.nodes["control"].causes == ["hang"]  # later
@@ -68,7 +70,7 @@ def test_what_a_node_uses_while_it_is_traced_is_no_hang() -> None:
 
 def test_a_crash_at_the_same_place_gives_the_same_flight() -> None:
     short = SPEC.model_copy(update={"limits": Limits(mission_time_s=8.0)})
-    with control_replaced_by("crashes") as server:
+    with replaced("control", by="crashes") as server:
         first, second = fly(short, server).outcome, fly(short, server).outcome
     assert first.nodes["control"].result == "crash"
     assert first.nodes["control"].causes == ["SIGSEGV"]
@@ -76,8 +78,30 @@ def test_a_crash_at_the_same_place_gives_the_same_flight() -> None:
     assert first.qof == second.qof
 
 
+AT_THE_END = SPEC.model_copy(update={"limits": Limits(mission_time_s=4.4)})
+"""Perception that ``returns_late`` is there again 6 ms before, and the simulator does not wait for it."""
+
+
+def test_a_node_that_comes_back_at_the_end_waits_for_nobody() -> None:
+    """The simulator has ended: it will not be announced."""
+    with replaced("perception", by="returns_late") as server:
+        report = fly(AT_THE_END, server).outcome.nodes["perception"]
+    assert (report.crashes, report.hangs, report.restarts) == (1, 0, 1)
+
+
+def test_what_keeps_a_node_waiting_after_its_restart_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(flight, "STALL_S", 0.5)
+    fault = FaultSpec(level="source", target="collision_check.time_to_collision", seed=4)
+    struck = AT_THE_END.model_copy(update={"fault": fault})
+    with (
+        replaced("perception", by="returns_late") as server,
+        pytest.raises(InfrastructureError, match="no process sent a message"),
+    ):
+        fly(struck, server)
+
+
 def test_a_bug_of_ours_is_no_result() -> None:
-    with control_replaced_by("raises") as server:
+    with replaced("control", by="raises") as server:
         with pytest.raises(InfrastructureError, match="wings fell off"):
             fly(SPEC, server)
         assert not forked(server.pid)
