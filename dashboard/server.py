@@ -18,7 +18,7 @@ from dashboard.api.routes.metrics import log_to_stderr
 from dashboard.api.security import is_loopback, token_hash
 from dashboard.api.service import Service
 from dashboard.campaigns.store.store import Store
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 STREAMS_END_S = 5
 """Clients that do not take the last events within this time are cut off when the service ends."""

@@ -9,7 +9,8 @@ from pathlib import Path
 from pydantic import Field
 
 from dashboard.analysis.recordings_reader import FlightRecording
-from deploy.config.check import BadSpecError, check
+from deploy.config.check import check
+from deploy.errors import BadSpecError
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from deploy.recording.propagation import FAULT, growth, propagation, unit

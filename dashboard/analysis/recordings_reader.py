@@ -26,7 +26,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from deploy.config.check import BadSpecError, one_line
+from deploy.errors import BadSpecError, one_line
 from deploy.recording.mcap_file import METADATA
 from deploy.recording.propagation import Messages
 from services.bus.fields import flat

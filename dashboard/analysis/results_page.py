@@ -11,7 +11,7 @@ from dashboard.campaigns.results.summary import CellSummary
 from dashboard.campaigns.spec import Cell
 from dashboard.campaigns.statistics.proportions import Interval
 from dashboard.campaigns.store.queries import Campaign
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 _HEAD = (
     "| arm | flown | struck | success % | change, points | p | time, s | time p95, s | energy, kJ |\n"

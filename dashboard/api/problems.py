@@ -19,8 +19,7 @@ from dashboard.campaigns.store.database import StoreError, StoreFullError
 from dashboard.campaigns.store.queries import UnknownCampaignError
 from dashboard.campaigns.store.store import BusyError, RepeatedError
 from deploy.compose.folder import StackError
-from deploy.config.check import BadSpecError
-from deploy.errors import InfrastructureError
+from deploy.errors import BadSpecError, InfrastructureError
 
 MEDIA_TYPE = "application/problem+json"
 MOST_ERRORS = 20

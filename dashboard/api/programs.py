@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from dashboard.campaigns.spec import CampaignSpec, stacks
-from deploy.config.check import BadSpecError
 from deploy.config.definitions import own_stack
+from deploy.errors import BadSpecError
 from services.models.own_stack import OwnStack, OwnStage
 
 

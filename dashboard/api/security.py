@@ -17,7 +17,7 @@ from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from dashboard.api.problems import answer
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 TOKEN_FILE = "token.sha256"  # noqa: S105 - a file's name
 OPEN = ("/health", "/ready", "/login", "/favicon.ico")

@@ -7,7 +7,7 @@ import contextlib
 from dashboard.campaigns.events import Begin, Cancel, CannotBegin, Pause
 from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.store import BusyError, Store
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 FINAL = ("done", "cancelled")
 ENDED = (*FINAL, "failed")

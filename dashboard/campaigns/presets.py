@@ -8,7 +8,7 @@ from typing import NamedTuple
 from pydantic import ValidationError
 
 from dashboard.campaigns.spec import CampaignSpec
-from deploy.config.check import BadSpecError, one_line
+from deploy.errors import BadSpecError, one_line
 
 
 class CampaignPreset(NamedTuple):

@@ -14,8 +14,9 @@ from typing import Any, Literal, NamedTuple
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from dashboard.campaigns.executors.spec import ExecutorSpec, LocalSpec
-from deploy.config.check import BadSpecError, check, one_line
+from deploy.config.check import check
 from deploy.config.definitions import inlined
+from deploy.errors import BadSpecError, one_line
 from services.models.base import Strict
 from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec, World

@@ -12,7 +12,7 @@ import click
 
 from deploy.compose.stack_file import NAME
 from deploy.compose.wrapper import run_announced
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 
 @click.command(context_settings={"ignore_unknown_options": True})

@@ -14,7 +14,8 @@ from dashboard.terminal.options import as_json
 from deploy.bench.kernel_samples import SPEC, make_samples, write
 from deploy.bench.pauses import measure_injections
 from deploy.bench.platform import measure, to_toml
-from deploy.config.check import BadSpecError, check
+from deploy.config.check import check
+from deploy.errors import BadSpecError
 from deploy.mission.fork_server import ForkServer
 from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec

@@ -26,7 +26,7 @@ from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.store import Store
 from dashboard.terminal.campaign_progress import fly, messages, run_new, tell
 from dashboard.terminal.options import as_json, in_store
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 Command = Callable[..., Any]
 in_slots = click.option(
@@ -242,6 +242,15 @@ def compare_(
             click.echo(one.model_dump_json())
     else:
         Console().print(tables.comparison(found.label, compared))
+
+
+@click.command()
+@in_store
+@as_json
+@as_picture
+def demo(store: str, as_json: bool, svg: Path | None) -> None:
+    """A small campaign in Sparse: golden flights beside flights with one flipped bit."""
+    run_new(load_campaign("demo"), None, store, as_json, svg)
 
 
 def _line(store: Store, one: Campaign) -> dict[str, Any]:

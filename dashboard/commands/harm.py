@@ -24,7 +24,7 @@ from dashboard.campaigns.results.harmful_faults import (
 )
 from dashboard.campaigns.store.store import Store
 from dashboard.terminal.options import as_json, in_store
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from services.models.oracles.harm import HARM_KINDS
 
 CAUSES: tuple[HarmCause, ...] = get_args(HarmCause)

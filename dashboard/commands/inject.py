@@ -12,8 +12,8 @@ from rich.console import Console
 from dashboard.terminal.injection_card import card
 from dashboard.terminal.options import as_json, fault_fields
 from deploy.compose.wrapper import claim_of, the_stack, verify
-from deploy.config.check import BadSpecError, check_machine
-from deploy.errors import InfrastructureError
+from deploy.config.check import check_machine
+from deploy.errors import BadSpecError, InfrastructureError
 from injector.attach.approach import AttachTarget
 from injector.attach.injection import ENDED, ProcessInjection, ended_before, inject_into
 from injector.attach.permission import AttachRefusedError, admit, check_thread, name_of

@@ -14,7 +14,7 @@ from dashboard.analysis.recordings_reader import FlightRecording, open_run
 from dashboard.campaigns.store.store import Store
 from dashboard.terminal.options import as_json, in_store
 from dashboard.viewers.viewer import VIEWERS, choose
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 _messages = Console(stderr=True, highlight=False)
 

@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 from dashboard.terminal.options import as_json
-from deploy.config.check import BadSpecError
 from deploy.config.definitions import inlined
+from deploy.errors import BadSpecError
 from sim.vehicle.airframe import BadAirframeError
 from sim.vehicle.redundancy import RedundancyStudy, study
 

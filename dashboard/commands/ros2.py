@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import click
 
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from deploy.mission.flight import Watch
 from deploy.recording.recorder import FlightRecorder
 from deploy.ros2.bridge import Bridge

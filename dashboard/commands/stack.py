@@ -22,8 +22,7 @@ from deploy.compose.process_tree import clear_marked
 from deploy.compose.reading import read_stack
 from deploy.compose.stack_file import SUPERVISOR, Stack
 from deploy.compose.state_machine import MOVING
-from deploy.config.check import BadSpecError
-from deploy.errors import InfrastructureError
+from deploy.errors import BadSpecError, InfrastructureError
 
 _FOLLOW_PAUSE_S = 0.1
 _messages = Console(stderr=True, highlight=False)

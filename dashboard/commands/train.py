@@ -14,8 +14,9 @@ from rich.progress import track
 from dashboard.analysis import detection
 from dashboard.terminal.options import FAULT_FORM, as_json, parse_fault
 from deploy.bench.detector_series import record as fly_and_watch
-from deploy.config.check import BadSpecError, check
+from deploy.config.check import check
 from deploy.config.definitions import inlined
+from deploy.errors import BadSpecError
 from deploy.mission.fork_server import ForkServer
 from detector.evaluation.evaluation import evaluate as judge
 from detector.evaluation.flips import largest_changes

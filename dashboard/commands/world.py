@@ -11,8 +11,8 @@ from rich.table import Table
 
 from dashboard.analysis import plan
 from dashboard.terminal.options import as_json
-from deploy.config.check import BadSpecError
 from deploy.config.definitions import inlined
+from deploy.errors import BadSpecError
 from services.models.mission import MissionSpec
 from sim.mission.coverage import WorldFigures, survey
 from sim.world import BadWorldError, World, definition, make_world, to_toml, world_names

@@ -11,7 +11,8 @@ from pydantic import ValidationError
 
 from dashboard.campaigns.store.listing import stored_run
 from dashboard.campaigns.store.store import Store
-from deploy.config.check import BadSpecError, check, one_line
+from deploy.config.check import check
+from deploy.errors import BadSpecError, one_line
 from deploy.mission.replay import refusal
 from services.models.outcome import Outcome
 

@@ -7,8 +7,8 @@ import re
 import click
 
 from dashboard.campaigns.store.queries import default_folder
-from deploy.config.check import BadSpecError
 from deploy.config.definitions import inlined
+from deploy.errors import BadSpecError
 from services.models.faults.specification import FaultSpec
 
 as_json = click.option("--json", "as_json", is_flag=True, help="One JSON object per line on standard output.")

@@ -19,7 +19,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from deploy.recording import visualization
 from deploy.recording.live_feed import SOCKET, LiveFeedReader, MalformedFeedError
 from deploy.recording.ordering import TYPES, SentMessage

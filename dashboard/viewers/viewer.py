@@ -14,8 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from dashboard.viewers import blueprint
-from deploy.config.check import BadSpecError
-from deploy.errors import InfrastructureError
+from deploy.errors import BadSpecError, InfrastructureError
 
 
 @dataclass(frozen=True, slots=True)

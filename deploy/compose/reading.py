@@ -7,8 +7,8 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from deploy.compose.stack_file import Bus, Stack
-from deploy.config.check import BadSpecError, one_line
 from deploy.config.definitions import read_toml
+from deploy.errors import BadSpecError, one_line
 
 DEFAULT = Path(__file__).parents[1] / "stacks" / "laboratory.toml"
 """What a laboratory needs; ``zenfi up`` with nothing said. Its processes work where ``zenfi`` was called."""

@@ -7,9 +7,8 @@ import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from deploy.config.platform import check_latency, load_platform
+from deploy.errors import BadSpecError
 from detector.errors import DetectionInputError
 from detector.schemes.registry import in_flight
 from injector.capabilities import check as preflight
@@ -23,10 +22,6 @@ from services.runtime.source_fault import eligible
 from sim.mission.area import corners
 from sim.vehicle.airframe import airframe
 from sim.world import make_world
-
-
-class BadSpecError(ValueError):
-    """A specification that cannot be flown: one line that names the field and the remedy."""
 
 
 def check(spec: MissionSpec) -> None:
@@ -164,15 +159,3 @@ def _known(what: str, name: str, table: Iterable[str]) -> None:
     if name not in names:
         message = f"unknown {what} {name!r}; known: {', '.join(names)}"
         raise BadSpecError(message)
-
-
-def one_line(error: ValidationError) -> str:
-    """The first thing that is wrong, as ``field: what (value)``."""
-    first = error.errors()[0]
-    # Which form a field has and which kind of world it is goes without saying.
-    where = ".".join(str(part) for part in first["loc"] if part != "definition") or "specification"
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    value = first.get("input")
-    given = f", got {value!r}" if isinstance(value, (str, int, float)) else ""
-    what = first["msg"].removeprefix("Value error, ")
-    return f"{where}: {what}{given}{more}"

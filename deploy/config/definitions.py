@@ -10,7 +10,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from deploy.config.check import BadSpecError, digest_of, one_line
+from deploy.config.check import digest_of
+from deploy.errors import BadSpecError, one_line
 from detector.schemes.model_files import read_model
 from detector.schemes.registry import load_detector
 from services.models.faults.mask_histogram import MaskHistogram

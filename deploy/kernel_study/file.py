@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from injector.kernel_study.study import CallLength, StudyRun
 from services.models.base import Strict
 from services.models.faults.specification import FaultSpec

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Protocol
 
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from deploy.kernel_study.workers import StudyWorkers
 from injector.kernel_study.checkpoints import SamplePoint
 from injector.kernel_study.study import CallLength, StudyRun, StudyTask

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal, get_args
 
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from services.models.base import Strict

@@ -13,7 +13,7 @@ import zenoh.ext
 from pydantic import Field, ValidationError
 
 from deploy.compose.stack_file import Bus
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from services.bus.ros2 import ADMIN_SPACE, GID_BYTES, Attachment, Qos, RosNode, data_key, mangled
 from services.bus.session import hand_over
 from services.models.base import Strict

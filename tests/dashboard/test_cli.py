@@ -8,7 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from click import Context
 
+from dashboard.cli import COMMANDS
+from dashboard.cli import zenfi as zenfi_group
 from tests.conftest import PATIENCE_S, alive, descendants, folders, node, segments, wait_until
 from tests.dashboard.command import ZENFI, refusal, zenfi
 
@@ -24,6 +27,25 @@ def test_fly_prints_one_outcome() -> None:
     assert outcome["result"] == "success"
     assert {"success", "flight_time_s", "distance_m", "energy_kj", "replans"} <= set(outcome["qof"])
     assert {"digest", "wall_s", "nodes"} <= set(outcome)
+
+
+def test_the_list_of_commands_loads_none_of_them() -> None:
+    told = "import sys; from dashboard.cli import main; main(['--help']); "
+    heavy = "print({'numpy', 'sqlalchemy', 'zenoh', 'rich'} & set(sys.modules))"
+    answer = subprocess.run(
+        [sys.executable, "-c", told + heavy], capture_output=True, text=True, check=True, timeout=PATIENCE_S
+    )
+    *lines, loaded = answer.stdout.splitlines()
+    assert loaded == "set()"
+    assert all(any(line.split()[:1] == [name] for line in lines) for name in COMMANDS)
+    assert max(map(len, lines)) < 80
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_command_of_the_list_is_there(name: str) -> None:
+    command = zenfi_group.get_command(Context(zenfi_group), name)
+    assert command is not None
+    assert command.name == name
 
 
 @pytest.mark.parametrize(

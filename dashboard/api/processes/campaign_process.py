@@ -24,8 +24,7 @@ from dashboard.campaigns.store.database import StoreError
 from dashboard.campaigns.store.listing import CampaignLine, line
 from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.store import Store
-from deploy.config.check import BadSpecError
-from deploy.errors import InfrastructureError
+from deploy.errors import BadSpecError, InfrastructureError
 from deploy.recording.flight_status import FlightStatus
 from deploy.recording.snapshot import FlightSnapshot
 from services.system.lifeline import die_with_parent

@@ -25,7 +25,7 @@ from dashboard.campaigns.spec import CampaignSpec, cells
 from dashboard.campaigns.store.listing import line
 from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.store import BusyError, Store
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from deploy.recording.snapshot import FlightSnapshot
 
 LOOK_S = 2.0

@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Literal
 
 from dashboard.campaigns.commands import ConflictError
-from deploy.config.check import BadSpecError
-from deploy.errors import InfrastructureError
+from deploy.errors import BadSpecError, InfrastructureError
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.replay import replay

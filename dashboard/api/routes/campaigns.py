@@ -26,7 +26,7 @@ from dashboard.campaigns.store.listing import (
 )
 from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.store import RepeatedError
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from services.models.base import Strict
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], responses=documented(404, 422))

@@ -18,7 +18,7 @@ from dashboard.campaigns.results import export
 from dashboard.campaigns.results.compare import Comparison, side_by_side
 from dashboard.campaigns.results.summary import CellSummary, summary
 from dashboard.campaigns.store.listing import Phase, line
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from services.models.base import Strict
 
 router = APIRouter(prefix="/campaigns/{label}", tags=["results"], responses=documented(404, 422))

@@ -19,7 +19,7 @@ from dashboard.campaigns.store.listing import (
     stored_run,
 )
 from dashboard.campaigns.store.queries import Campaign
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from deploy.mission.replay import Replay
 from services.models.outcome import InjectionRecord, Outcome
 

@@ -18,7 +18,7 @@ from dashboard.api.service import Service, ServiceDep
 from dashboard.campaigns.commands import ENDED
 from dashboard.campaigns.store.listing import line
 from dashboard.campaigns.store.queries import UnknownCampaignError
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 router = APIRouter(tags=["streams"])
 

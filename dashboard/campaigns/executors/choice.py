@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from dashboard.campaigns.executors.executor import Executor
 from dashboard.campaigns.executors.local import LocalExecutor, Ordering, unrecorded
 from dashboard.campaigns.executors.spec import DaskSpec, ExecutorSpec, LocalSpec, SlurmSpec
-from deploy.config.check import BadSpecError, one_line
+from deploy.errors import BadSpecError, one_line
 
 FORM = "local|dask://HOST:PORT|tls://HOST:PORT|slurm:FOLDER"
 

@@ -19,8 +19,7 @@ from distributed import Client, Future, KilledWorker
 
 from dashboard.campaigns.events import Alive, Lost, RunStarted
 from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask, Losses, reports
-from deploy.config.check import BadSpecError
-from deploy.errors import InfrastructureError
+from deploy.errors import BadSpecError, InfrastructureError
 from deploy.workers import dask_task, installation
 from deploy.workers.protocol import WorkerAnswer, WorkerOrder
 

@@ -19,8 +19,7 @@ import submitit
 from dashboard.campaigns.events import Alive, Lost, RunStarted
 from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask, Losses, reports
 from dashboard.campaigns.executors.spec import SlurmSpec
-from deploy.config.check import BadSpecError
-from deploy.errors import InfrastructureError
+from deploy.errors import BadSpecError, InfrastructureError
 from deploy.workers import installation
 from deploy.workers.protocol import WorkerAnswer, WorkerOrder
 from deploy.workers.slurm_shard import BEAT, OWNER, Beat, answer_file, fly_shard, write

@@ -14,7 +14,7 @@ from dashboard.campaigns.statistics.differences import quantile_interval
 from dashboard.campaigns.statistics.proportions import Interval, Pairs, holm, mcnemar, newcombe_paired
 from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.store import Store
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from services.models.base import Strict
 
 SEED = 0

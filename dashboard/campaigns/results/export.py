@@ -12,7 +12,7 @@ from dashboard.campaigns.flight_record import FlightRecord, Result
 from dashboard.campaigns.results.detection_effects import EFFECTS
 from dashboard.campaigns.results.summary import CellSummary
 from dashboard.campaigns.spec import Cell
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from services.models.outcome import NodeResult
 
 Columns = Mapping[str, type]

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from dashboard.campaigns.store.listing import stored_run
 from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.store import Store
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from services.bus.topics import TOPICS
 from services.models.base import Strict
 from services.models.faults.specification import FaultSpec

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, contextmanager
 
 import sqlalchemy as sa
 
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 REVISION = "0007"
 """The newest step in ``migrations/versions``."""

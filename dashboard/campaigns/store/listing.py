@@ -18,7 +18,7 @@ from dashboard.campaigns.state_machine import CampaignPhase, RunPhase
 from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.schema import ResultRow, RunRow
 from dashboard.campaigns.store.store import Store
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from services.models.base import Strict
 from services.models.mission import MissionSpec
 from services.models.outcome import MissionResult, Outcome

@@ -18,7 +18,7 @@ from urllib.parse import unquote
 import sqlalchemy as sa
 
 from dashboard.campaigns.store.database import Database, StoreError, StoreFullError, StoreLostError
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 FORM = "postgresql://USER@HOST/DATABASE, or postgresql://USER@/DATABASE?host=FOLDER of a socket"
 PORT = 5432

@@ -20,7 +20,7 @@ from dashboard.campaigns.store import postgresql
 from dashboard.campaigns.store.database import Database
 from dashboard.campaigns.store.schema import CampaignRow, ResultRow, RunRow
 from dashboard.campaigns.store.sqlite import SqliteDatabase
-from deploy.config.check import BadSpecError, one_line
+from deploy.errors import BadSpecError, one_line
 from services.models.mission import MissionSpec
 
 LONGEST_NUMBER = 18

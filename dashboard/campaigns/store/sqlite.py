@@ -12,7 +12,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from dashboard.campaigns.store.database import Database, StoreError, StoreFullError
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 PAGE_BYTES = 4096
 PRAGMAS = (

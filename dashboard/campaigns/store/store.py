@@ -23,7 +23,7 @@ from dashboard.campaigns.state_machine import CampaignStates, RunState
 from dashboard.campaigns.store import removal
 from dashboard.campaigns.store.queries import Campaign, StoreQueries
 from dashboard.campaigns.store.schema import CampaignRow, ResultRow, RunRow
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from services.models.outcome import Outcome
 
 _RUNS = RunRow.metadata.tables[RunRow.__tablename__]

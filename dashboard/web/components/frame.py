@@ -17,8 +17,7 @@ from dashboard.api.service import Service
 from dashboard.campaigns.store.database import StoreError
 from dashboard.campaigns.store.queries import Campaign, UnknownCampaignError
 from deploy.compose.folder import StackError
-from deploy.config.check import BadSpecError, one_line
-from deploy.errors import InfrastructureError
+from deploy.errors import BadSpecError, InfrastructureError, one_line
 
 NAVIGATION = (
     ("Campaigns", "/"),

@@ -16,7 +16,7 @@ from dashboard.campaigns.forecast import Forecast, forecast
 from dashboard.campaigns.presets import presets
 from dashboard.campaigns.spec import CampaignSpec, RecordingPolicy
 from dashboard.web.components.frame import REFUSED, ask, frame, section, told
-from deploy.config.check import one_line
+from deploy.errors import one_line
 from detector.schemes.registry import with_models
 from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS
 from services.models.inter_kernel_states import GROUPS, STATES

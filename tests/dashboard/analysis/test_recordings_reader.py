@@ -8,7 +8,7 @@ from mcap.writer import Writer
 from mcap_ros2.writer import Writer as Ros2Writer
 
 from dashboard.analysis.recordings_reader import open_run
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from services.bus.topics import TICK_NS
 from services.models.outcome import QoF
 from tests.dashboard.recorded import flights

@@ -17,7 +17,7 @@ from dashboard.api.security import new_token, token_hash
 from dashboard.campaigns.store.store import Store
 from dashboard.cli import zenfi
 from dashboard.server import serve
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from tests.dashboard.api.asking import CAMPAIGNS, HERE, ask, make
 
 

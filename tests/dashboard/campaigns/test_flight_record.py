@@ -16,7 +16,7 @@ from dashboard.campaigns.results.compare import compare, with_others, with_twins
 from dashboard.campaigns.results.summary import summarise
 from dashboard.campaigns.spec import Cell
 from dashboard.campaigns.statistics.proportions import wilson
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 GOLDEN, FLIP = Cell("golden", "sparse", ""), Cell("flip", "sparse", "")
 

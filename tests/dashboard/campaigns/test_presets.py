@@ -14,7 +14,7 @@ from dashboard.campaigns.forecast import forecast
 from dashboard.campaigns.presets import presets, scaled
 from dashboard.campaigns.spec import CampaignSpec, cells, load_campaign, runs
 from dashboard.campaigns.store.store import Store
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from services.models.world import BoxWorld, ClusteredWorld, GridWorld

@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from dashboard.campaigns.spec import CampaignSpec, Cell, cells, load_campaign, runs
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 GOLDEN = {"name": "golden"}
 FLIP = {"name": "flip", "fault": {"target": "pid"}}

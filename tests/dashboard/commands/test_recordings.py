@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from dashboard.commands.recordings import propagation
 from deploy.compose.reading import read_stack
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from tests.dashboard.command import refusal
 from tests.dashboard.recorded import flights
 

@@ -8,7 +8,7 @@ import pytest
 
 from deploy.compose.reading import read_stack
 from deploy.compose.stack_file import BackOff
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 
 GOOD = """
 name = "mine"

@@ -2,8 +2,8 @@
 
 import pytest
 
-from deploy.config.check import BadSpecError
 from deploy.config.definitions import inlined
+from deploy.errors import BadSpecError
 from services.models.mission import MissionSpec
 from services.models.world import ForestWorld, TrafficWorld
 

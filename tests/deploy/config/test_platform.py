@@ -7,8 +7,9 @@ from math import inf
 import pytest
 
 from deploy.bench.platform import latency
-from deploy.config.check import BadSpecError, check
+from deploy.config.check import check
 from deploy.config.platform import load_platform, platform_names
+from deploy.errors import BadSpecError
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from services.kernels import KERNELS

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.config.check import BadSpecError, check_kernel
+from deploy.config.check import check_kernel
+from deploy.errors import BadSpecError
 from deploy.kernel_study.file import KernelSection, StudyFile, kept_runs
 from deploy.kernel_study.study import Study
 from injector.kernel_study.study import StudyRun

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from deploy.config.check import BadSpecError, check
+from deploy.config.check import check
 from deploy.config.definitions import inlined
 from deploy.config.platform import load_platform
 from deploy.config.processes import STACK
+from deploy.errors import BadSpecError
 from deploy.mission import flight
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer

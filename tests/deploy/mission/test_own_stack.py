@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from deploy.config.check import BadSpecError, check
+from deploy.config.check import check
 from deploy.config.processes import STACK
-from deploy.errors import InfrastructureError
+from deploy.errors import BadSpecError, InfrastructureError
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer

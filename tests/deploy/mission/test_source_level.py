@@ -2,7 +2,8 @@
 
 import pytest
 
-from deploy.config.check import BadSpecError, check
+from deploy.config.check import check
+from deploy.errors import BadSpecError
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from deploy.mission.replay import replay

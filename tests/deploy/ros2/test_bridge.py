@@ -10,7 +10,7 @@ import xxhash
 import zenoh
 import zenoh.ext
 
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
 from deploy.ros2.bridge import Bridge

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from deploy.config.check import one_line
+from deploy.errors import one_line
 from services.models.equipment import PROFILES
 from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec

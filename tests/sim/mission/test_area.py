@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from deploy.config.check import BadSpecError, check
+from deploy.config.check import check
+from deploy.errors import BadSpecError
 from services.models.equipment import Camera
 from services.models.mission import Area, MissionSpec
 from sim.mission.area import CameraView, cells, corners, mark_overflown

@@ -22,8 +22,7 @@ from dashboard.campaigns.executors.spec import DaskSpec
 from dashboard.campaigns.spec import Run
 from dashboard.campaigns.state_machine import CampaignStates
 from dashboard.cli import zenfi
-from deploy.config.check import BadSpecError
-from deploy.errors import InfrastructureError
+from deploy.errors import BadSpecError, InfrastructureError
 from deploy.workers import installation
 from deploy.workers.dask_task import RESOURCE, SlotMessage
 from services.models.faults.specification import FaultSpec

@@ -15,7 +15,7 @@ from dashboard.campaigns.spec import Arm, CampaignSpec
 from dashboard.campaigns.store import postgresql
 from dashboard.campaigns.store.database import StoreFullError, StoreLostError
 from dashboard.campaigns.store.store import BusyError, Store
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from services.models.mission import MissionSpec
 from tests.dashboard.campaigns.store.test_store import SPEC, outcome
 from tests.dashboard.command import refusal, zenfi

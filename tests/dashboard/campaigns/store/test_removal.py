@@ -10,7 +10,7 @@ import pytest
 
 from dashboard.campaigns.store import removal
 from dashboard.campaigns.store.store import BusyError, Store
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from tests.dashboard.campaigns.store.test_store import SPEC, flown
 from tests.dashboard.command import refusal, zenfi
 

@@ -21,7 +21,7 @@ from dashboard.campaigns.store.database import StoreFullError, migrate
 from dashboard.campaigns.store.queries import Campaign
 from dashboard.campaigns.store.schema import Base
 from dashboard.campaigns.store.store import BusyError, Store
-from deploy.config.check import BadSpecError
+from deploy.errors import BadSpecError
 from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.mission import MissionSpec
 from services.models.oracles.harm import HarmEvent

@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import chisquare
 
-from deploy.config.check import one_line
+from deploy.errors import one_line
 from services.models.faults.arithmetic import draw_bits, groups
 from services.models.faults.specification import FaultSpec
 from services.runtime.rng import generator

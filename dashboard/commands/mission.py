@@ -1,0 +1,134 @@
+"""``zenfi fly`` and ``zenfi doctor``: single missions, and whether this machine can fly them."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.console import Console
+
+from dashboard.analysis import tables
+from dashboard.commands.ros2 import RosOptions, in_domain, shown_in_ros
+from dashboard.terminal.options import DETECTOR_FORM, FAULT_FORM, as_json, detector_fields, parse_fault
+from deploy.config.check import check
+from deploy.config.definitions import inlined
+from deploy.doctor import examine
+from deploy.errors import BadSpecError, InfrastructureError
+from deploy.mission.fork_server import ForkServer
+from deploy.mission.golden_twin import PairFlyer
+from services.models.mission import MissionSpec
+
+
+@click.command()
+@click.option("--mission", default="navigation", show_default=True, help="What to do; see docs/missions.md.")
+@click.option("--world", default="sparse", show_default=True, metavar="NAME|FILE.toml", help="Where to fly.")
+@click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
+@click.option("--airframe", default="airsim", show_default=True, metavar="NAME|FILE.toml", help="What flies.")
+@click.option(
+    "--planner", default="rrt_star", show_default=True, help="rrt, rrt_connect, rrt_star or prm_star."
+)
+@click.option(
+    "--platform",
+    default="i9-9940x",
+    show_default=True,
+    metavar="NAME|FILE.toml",
+    help="Computer whose latencies apply.",
+)
+@click.option("--clock", default="lockstep", show_default=True, help="lockstep or realtime.")
+@click.option("--profile", default="fast", show_default=True, help="Set of parameters: fast or paper.")
+@click.option("--stack", metavar="FILE.toml", help="Programs of your own in the place of stages.")
+@click.option("--pilot", default="guarded", show_default=True, help="guarded (ours) or baseline (published).")
+@click.option(
+    "--guards",
+    metavar="NAME,..",
+    help="Only these guards of docs/pilots.md, or none; default: the pilot's.",
+)
+@click.option("--energy", default="airframe", show_default=True, help="airframe, regression or momentum.")
+@click.option("--detector", metavar=DETECTOR_FORM, help="Watch the flight, e.g. gaussian,recovery=control.")
+@click.option(
+    "--fault",
+    metavar=FAULT_FORM,
+    help="Flip a bit, e.g. instruction:rrt_star,operand=source or source:trajectory.x; "
+    "model=none does everything but the flip. Or let equipment fail, e.g. sensor:depth,model=off.",
+)
+@click.option("--fault-seed", type=int, default=0, show_default=True, help="Seed of the fault.")
+@click.option(
+    "--fault-over",
+    type=click.Choice(["calls", "time"]),
+    default="calls",
+    show_default=True,
+    help="Draw the injected call over the kernel's calls or over the flight's time.",
+)
+@click.option(
+    "--property",
+    "properties",
+    multiple=True,
+    metavar="TEXT",
+    help="Judge the flight, e.g. 'always clearance >= 0.3'; may be repeated (docs/properties.md).",
+)
+@click.option(
+    "--time-factor",
+    type=float,
+    help="Flight time beyond so many times the golden twin's is harm; default: 1.5.",
+)
+@click.option(
+    "--record", type=click.Path(path_type=Path, dir_okay=False), help="Record the messages: FILE.mcap."
+)
+@shown_in_ros
+@as_json
+def fly(
+    detector: str | None,
+    fault: str | None,
+    fault_seed: int,
+    fault_over: str,
+    record: Path | None,
+    ros: RosOptions | None,
+    as_json: bool,
+    guards: str | None,
+    time_factor: float | None,
+    **fields: Any,
+) -> None:
+    """Fly one mission; with --fault, its golden twin first."""
+    if guards is not None:
+        fields["guards"] = [] if guards == "none" else guards.split(",")
+    if time_factor is not None:
+        fields["harm"] = {"time_factor": time_factor}
+    if detector is not None:
+        fields["detector"] = detector_fields(detector)
+    if fault is not None:
+        fields["fault"] = parse_fault(fault, fault_seed, fault_over)
+    spec = MissionSpec.model_validate(inlined(fields))
+    check(spec)
+    if record is not None and not record.parent.is_dir():
+        message = f"--record {record}: there is no folder {record.parent}"
+        raise BadSpecError(message)
+    with in_domain(ros, spec) as watch:
+        server = ForkServer()
+        try:
+            outcome = PairFlyer(server, watch).fly(spec, record)
+        finally:
+            server.close()
+    if outcome.recording is not None and outcome.recording.problem:
+        message = f"recording {record}: {outcome.recording.problem}"
+        raise InfrastructureError(message)
+    if as_json:
+        click.echo(outcome.model_dump_json(by_alias=True))
+    else:
+        Console().print(tables.outcome(outcome))
+
+
+@click.command()
+@as_json
+def doctor(as_json: bool) -> None:
+    """Check what this machine allows (tracing, timers, sockets, processors), and fly once."""
+    findings = examine()
+    if as_json:
+        for finding in findings:
+            click.echo(json.dumps({"check": finding.name, "ok": finding.ok, "remedy": finding.remedy}))
+    else:
+        Console().print(tables.findings(findings))
+    if not all(finding.ok for finding in findings):
+        sys.exit(1)
