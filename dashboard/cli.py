@@ -22,7 +22,7 @@ class LazyCommand(NamedTuple):
 
 
 COMMANDS = {
-    "announce": LazyCommand("announce", "Run a program of your own so that zenfi inject finds it."),
+    "announce": LazyCommand("inject", "Run a program of your own so that zenfi inject finds it."),
     "bench": LazyCommand("bench", "Measure the speed of this machine."),
     "campaign": LazyCommand("campaign", "Many flights: run, resumed, compared, exported."),
     "demo": LazyCommand("campaign", "A small campaign: golden flights beside flights with faults."),
@@ -88,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _give_up("interrupted", 130)
     except Exception as error:
         # Loaded by now if it is one of them.
-        status, text = import_module("dashboard.commands.errors").told(error)
+        status, text = import_module("dashboard.terminal.errors").told(error)
         if status is None:
             raise
         _give_up(text, status)

@@ -1,9 +1,13 @@
-"""``zenfi inject``: attaches to any process and injects one fault."""
+"""``zenfi inject`` strikes any process once; ``zenfi announce`` makes a program one that it finds by name."""
 
 from __future__ import annotations
 
+import os
+import re
+import signal
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import click
@@ -11,7 +15,8 @@ from rich.console import Console
 
 from dashboard.terminal.injection_card import card
 from dashboard.terminal.options import as_json, fault_fields
-from deploy.compose.wrapper import claim_of, the_stack, verify
+from deploy.compose.stack_file import NAME
+from deploy.compose.wrapper import claim_of, run_announced, the_stack, verify
 from deploy.config.check import check_machine
 from deploy.errors import BadSpecError, InfrastructureError
 from injector.attach.approach import AttachTarget
@@ -236,3 +241,22 @@ def inject(*, as_json: bool, **typed: Any) -> None:
         Console(highlight=False, soft_wrap=True).print(card(done), markup=False)
     if done.injection.status != "injected" and not (asked.dry_run and done.injection.bits):
         sys.exit(1)
+
+
+@click.command(context_settings={"ignore_unknown_options": True})
+@click.option("--name", help="By which it is announced.  [default: the program's]")
+@click.argument("command", nargs=-1, required=True, type=click.UNPROCESSED)
+def announce(name: str | None, command: tuple[str, ...]) -> None:
+    """Run a program of anybody's, announced, so that zenfi inject --node finds it: announce -- CMD ...
+
+    For a process of a stack file (zenfi up); see docs/own_stack.md.
+    """
+    called = Path(command[0]).name if name is None else name
+    if not re.fullmatch(NAME, called):
+        message = f"--name: {called!r} is no name: lower-case letters, digits, - and _, at most 31"
+        raise BadSpecError(message)
+    status = run_announced(called, command)
+    if status < 0:
+        signal.signal(-status, signal.SIG_DFL) if -status not in (signal.SIGKILL, signal.SIGSTOP) else None
+        os.kill(os.getpid(), -status)
+    sys.exit(status)

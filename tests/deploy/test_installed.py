@@ -66,6 +66,7 @@ def test_the_wheel_holds_every_file_of_the_product(wheel: Path) -> None:
     assert packed == {str(file.relative_to(ROOT)) for file in files if "__pycache__" not in file.parts}
 
 
+@pytest.mark.soak
 def test_a_flight_from_the_wheel_is_that_from_the_checkout(
     environment: Path, server: ForkServer, tmp_path: Path
 ) -> None:

@@ -90,9 +90,20 @@ def inject_by_hand(
     if flight.present is None:
         message = f"{campaign.label} is not under way: it is {flight.campaign.phase}"
         raise ConflictError(message)
-    trigger = Trigger(after_ns=round(flight.present.time_s * 1e9))
-    fault = new.fault.model_copy(update={"trigger": trigger})
-    return _created(service, mission.model_copy(update={"fault": fault}), response, None)
+    return _created(
+        service, mission.model_copy(update={"fault": _from_now(new, flight.present)}), response, None
+    )
+
+
+def _from_now(new: HandMadeFault, present: FlightStatus) -> FaultSpec:
+    """The fault with this moment: when it strikes, or from when on it recurs.
+
+    :raises pydantic.ValidationError: if it is to end before.
+    """
+    fields = new.fault.model_dump(exclude={"trigger"})
+    if new.fault.recurs:
+        return FaultSpec.model_validate(fields | {"from_s": present.time_s})
+    return FaultSpec.model_validate(fields | {"trigger": Trigger(after_ns=round(present.time_s * 1e9))})
 
 
 def _created(service: Service, mission: MissionSpec, response: Response, request: str | None) -> FlightInfo:

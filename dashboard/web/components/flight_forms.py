@@ -15,6 +15,7 @@ from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS
 from services.models.faults.specification import FaultSpec
 from services.models.inter_kernel_states import GROUPS, STATES
 from services.models.mission import MissionSpec
+from services.models.oracles.properties import EXAMPLE
 from sim.world import world_names
 
 Made = Callable[[str], object]
@@ -23,6 +24,11 @@ Made = Callable[[str], object]
 _MISSIONS = ("navigation", "scanning", "mapping", "search", "delivery")
 _FIELDS = ("any", "sign", "exponent", "mantissa")
 _MASKS = ("bits", "uniform", "byte", "word")
+_RECURRENCES = ("once", "intermittent", "permanent", "rate")
+_OFTEN = {"intermittent": "probability", "rate": "rate_hz"}
+"""The field that says how often a fault of that recurrence strikes."""
+
+_PILOTS = ("guarded", "baseline")
 _LARGEST_SEED = 2**32 - 1
 
 
@@ -32,12 +38,21 @@ def flight_form(service: Service, made: Made) -> None:
         mission = _choice("Mission", list(_MISSIONS), "scanning")
         world = _choice("World", world_names(), "sparse")
         planner = _choice("Planner", sorted(PLANNERS), "rrt_star")
+        pilot = _choice("Pilot", list(_PILOTS), "guarded")
         seed = _number("Seed", 7, _LARGEST_SEED)
+        judged = _text("Property to judge it by", f"such as: {EXAMPLE}")
 
     @told
     async def fly() -> None:
         spec = MissionSpec.model_validate(
-            {"mission": mission.value, "world": world.value, "planner": planner.value, "seed": _whole(seed)}
+            {
+                "mission": mission.value,
+                "world": world.value,
+                "planner": planner.value,
+                "pilot": pilot.value,
+                "seed": _whole(seed),
+                "properties": [judged.value] if judged.value else [],
+            }
         )
         flight = await ask(create_flight, service, NewFlight(mission=spec), Response())
         made(flight.campaign.campaign)
@@ -57,7 +72,12 @@ def fault_form(service: Service, campaign: Campaign, made: Made) -> None:
         field = _choice("Bits of", list(_FIELDS), "any")
         bits = _number("Number of bits", 1, 8, least=1)
         mask = _choice("Mask", list(_MASKS), "bits")
+        recurrence = _choice("Recurrence", list(_RECURRENCES), "once")
+        how_often = ui.number("Probability, or upsets per second", min=0).props("outlined dense")
+        opcodes = _text("Opcodes", "such as: vmulsd vaddsd")
         seed = _number("Seed", 0, _LARGEST_SEED)
+        how_often.bind_visibility_from(recurrence, "value", lambda kind: kind in _OFTEN)
+        opcodes.bind_visibility_from(recurrence, "value", lambda kind: kind != "once")
 
     @told
     async def inject() -> None:
@@ -69,7 +89,9 @@ def fault_form(service: Service, campaign: Campaign, made: Made) -> None:
                 "field": field.value,
                 "bits": _whole(bits),
                 "mask": mask.value,
+                "recurrence": recurrence.value,
                 "seed": _whole(seed),
+                **_recurring(str(recurrence.value), how_often.value, opcodes.value),
             }
         )
         flight = await ask(inject_by_hand, service, campaign, HandMadeFault(fault=fault), Response())
@@ -78,6 +100,20 @@ def fault_form(service: Service, campaign: Campaign, made: Made) -> None:
     ui.button("Inject now", icon="bolt", on_click=inject, color="deep-orange-9").classes(
         "submit inject"
     ).props("no-caps")
+
+
+def _recurring(recurrence: str, how_often: float | None, opcodes: str | None) -> dict[str, object]:
+    """The fields that go with a recurrence; what is hidden in the form is not asked for."""
+    fields: dict[str, object] = {}
+    if recurrence in _OFTEN:
+        fields[_OFTEN[recurrence]] = how_often
+    if recurrence != "once" and opcodes:
+        fields["opcodes"] = opcodes.split()
+    return fields
+
+
+def _text(label: str, hint: str) -> ui.input:
+    return ui.input(label, placeholder=hint).props("outlined dense")
 
 
 def _choice(label: str, options: list[str], value: str) -> ui.select:

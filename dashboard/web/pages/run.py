@@ -68,6 +68,7 @@ class RunPage:
                 self._about(await ask(self._effect, others))
             if outcome is not None:
                 _quality(outcome)
+                _harm(outcome)
         if outcome is None:
             nothing(
                 f"This run has no result: it is {stored.phase}.",
@@ -284,6 +285,30 @@ def _quality(outcome: Outcome) -> None:
     rows = [[name, text, twins.get(name, "")][: len(heads)] for name, text in mine.items()]
     with section("Quality of flight", outcome.reason):
         table("Quality of flight", heads, rows, heads[1:])
+
+
+def _harm(outcome: Outcome) -> None:
+    """What harmed the flight beside its golden twin, and what its properties say."""
+    if outcome.harm is None and not outcome.properties:
+        return
+    with section("Harm"):
+        if outcome.harm is not None:
+            events = [
+                f"{event.kind.replace('_', ' ')} at {event.at_ns / 1e9:.2f} s" for event in outcome.harm
+            ]
+            ui.label("Harmed: " + ", ".join(events) if events else "Not harmed.").classes("state-title")
+        if outcome.properties:
+            rows = [
+                (
+                    one.property,
+                    "holds" if one.holds else "violated",
+                    f"{one.robustness:+.3g}",
+                    f"{one.at_ns / 1e9:.2f}",
+                )
+                for one in outcome.properties
+            ]
+            heads = ("property", "verdict", "margin", "decided at (s)")
+            table("Properties", heads, rows, heads[2:])
 
 
 def _measures(qof: QoF) -> dict[str, str]:

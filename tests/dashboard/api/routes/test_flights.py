@@ -12,6 +12,8 @@ MISSION = MissionSpec(limits=Limits(mission_time_s=6))
 LONG = MissionSpec(mission="scanning", limits=Limits(mission_time_s=16))
 """Under way for seconds on its watch: virtual seconds go by ten times as fast."""
 
+LASTING = FaultSpec(level="source", target="command.vx", recurrence="permanent", bit_numbers=(62,))
+
 
 @pytest.mark.soak
 def test_a_flight_is_struck_by_hand_after_the_moment_it_was_asked_for(client: Client) -> None:
@@ -20,7 +22,12 @@ def test_a_flight_is_struck_by_hand_after_the_moment_it_was_asked_for(client: Cl
     for event in client.watch(watched):
         if event.kind == "flight" and event.data.present.time_s > 1 and struck is None:
             struck = client.flights.inject(watched, FaultSpec(target="pid", seed=3))
+            lasting = client.flights.inject(watched, LASTING).campaign.campaign
     assert struck is not None
+    fault = client.campaigns.get(lasting).spec.arms[0].fault
+    assert fault is not None
+    assert fault.from_s > 1, "it recurs from now on"
+    client.campaigns.command(lasting, "cancel")
     assert list(client.watch(struck.campaign.campaign))[-1].data.phase == "done"
 
     golden = client.runs.outcome(watched, client.flights.get(watched).run.id)

@@ -9,13 +9,17 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from dashboard.analysis.recordings_reader import open_run
-from dashboard.campaigns.spec import Arm, CampaignSpec, RecordingPolicy
+from dashboard.campaigns.spec import Arm, CampaignSpec, RecordingPolicy, Run
 from dashboard.campaigns.store.listing import RunQuery
 from dashboard.client import Client
 from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import Limits, MissionSpec
+from services.models.oracles.harm import HarmEvent
+from services.models.oracles.properties import PropertyResult
+from services.models.outcome import Outcome
 from tests.dashboard.api.conftest import Serving
 from tests.dashboard.web.conftest import Looking
+from tests.dashboard.web.stored import ended, stored
 
 FAULT = FaultSpec(level="source", target="command.vx", bit_numbers=(62,), trigger=Trigger(invocation=60))
 SPEC = CampaignSpec(
@@ -59,6 +63,22 @@ def runs(service: Serving) -> dict[str, str]:
 def kept(service: Serving) -> dict[str, str]:
     """A golden and a struck run, and the same with a detector, recorded."""
     return flown(service, KEPT)
+
+
+def harmed(run: Run) -> Outcome:
+    """A flight that was too close to an obstacle, and took too long."""
+    outcome = ended(run)
+    if outcome.injection is None:
+        return outcome
+    events = [
+        HarmEvent(kind="property_violated", at_ns=2_000_000_000, property="always clearance >= 0.8"),
+        HarmEvent(kind="too_slow", at_ns=30_000_000_000),
+    ]
+    properties = [
+        PropertyResult(property="always clearance >= 0.8", robustness=-0.3, holds=False, at_ns=2_000_000_000),
+        PropertyResult(property="always speed <= 5", robustness=1.25, holds=True, at_ns=21_000_000_000),
+    ]
+    return outcome.model_copy(update={"harm": events, "properties": properties})
 
 
 def vehicles(page: Page) -> list[tuple[str | None, str | None]]:
@@ -180,6 +200,20 @@ def test_a_logarithmic_axis_is_labelled_at_powers_of_ten(
     assert len(labels) >= 4
     assert len(steps) == 1
     assert all(float(f"{one:.0e}") == pytest.approx(one) for one in labels)
+
+
+def test_a_run_tells_what_harmed_it_and_by_how_much_its_properties_hold(
+    service: Serving, client: Client, looking: Looking
+) -> None:
+    label = stored(service, SPEC, harmed)
+    run = next(one.id for one in client.runs.all(label, RunQuery()) if one.arm == "flip")
+    page = looking.goto(service.address, f"/campaigns/{label}/runs/{run}")
+    expect(page.get_by_text("Harmed: property violated at 2.00 s, too slow at 30.00 s")).to_be_visible()
+    rows = page.get_by_role("region", name="Properties").locator("tbody tr").all_inner_texts()
+    assert [row.split("\t") for row in rows] == [
+        ["always clearance >= 0.8", "violated", "-0.3", "2.00"],
+        ["always speed <= 5", "holds", "+1.25", "21.00"],
+    ]
 
 
 def test_a_run_without_a_fault_is_flown_again(
