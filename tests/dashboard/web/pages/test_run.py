@@ -209,8 +209,8 @@ def test_a_run_tells_what_harmed_it_and_by_how_much_its_properties_hold(
     run = next(one.id for one in client.runs.all(label, RunQuery()) if one.arm == "flip")
     page = looking.goto(service.address, f"/campaigns/{label}/runs/{run}")
     expect(page.get_by_text("Harmed: property violated at 2.00 s, too slow at 30.00 s")).to_be_visible()
-    rows = page.get_by_role("region", name="Properties").locator("tbody tr").all_inner_texts()
-    assert [row.split("\t") for row in rows] == [
+    rows = page.get_by_role("region", name="Properties").locator("tbody tr")
+    assert [row.locator("td").all_inner_texts() for row in rows.all()] == [
         ["always clearance >= 0.8", "violated", "-0.3", "2.00"],
         ["always speed <= 5", "holds", "+1.25", "21.00"],
     ]
