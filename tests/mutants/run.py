@@ -85,8 +85,9 @@ class Tree:
 
     def _without_fixtures(self, tests: Sequence[str]) -> tuple[str, ...]:
         """What leaves out the shared fixtures, where no test asks for them by name."""
-        files = [(self.folder / test.partition("::")[0]).read_text() for test in tests]
-        return () if any("usefixtures" in text for text in files) else ("--noconftest",)
+        named = [self.folder / test.partition("::")[0] for test in tests]
+        files = [file for one in named for file in ([one] if one.is_file() else one.rglob("test_*.py"))]
+        return () if any("usefixtures" in file.read_text() for file in files) else ("--noconftest",)
 
     def end(self) -> None:
         """Kill the tests that run, with all that they have started."""
