@@ -26,7 +26,7 @@ def start_worker(
     """
     options = [*([] if cpu is None else [str(cpu)]), *(["--watched"] if watched else [])]
     return subprocess.Popen(  # noqa: S603 - our own interpreter and module
-        [sys.executable, "-m", "deploy.workers.worker", *options],
+        [sys.executable, "-P", "-m", "deploy.workers.worker", *options],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=log,

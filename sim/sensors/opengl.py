@@ -15,7 +15,7 @@ def backend() -> str | None:
     for name in BACKENDS:
         try:
             tried = subprocess.run(
-                [sys.executable, "-m", "sim.sensors.rgb"],
+                [sys.executable, "-P", "-m", "sim.sensors.rgb"],
                 env={**os.environ, "MUJOCO_GL": name},
                 capture_output=True,
                 check=False,

@@ -148,6 +148,21 @@ def test_a_bad_campaign_is_refused_with_the_field_named(text: str, says: str, tm
     assert not (tmp_path / "home").exists()
 
 
+def test_packages_of_the_folder_where_a_campaign_is_run_are_not_taken_for_ours(tmp_path: Path) -> None:
+    for name in ("services", "deploy", "injector", "sim", "detector", "dashboard"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").write_text("raise SystemExit('not ours')\n")
+    (tmp_path / "x.toml").write_text(
+        'name = "x"\nruns = 1\narms = [{name = "golden"}]\nmission = {limits = {mission_time_s = 1.0}}\n'
+    )
+    command = [ZENFI, "campaign", "run", "x.toml", "--json", "--store", str(tmp_path / "store")]
+    answer = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=PATIENCE_S
+    )
+    assert answer.returncode == 0, answer.stderr
+    assert json.loads(answer.stdout.splitlines()[-1])["summary"][0]["runs"] == 1
+
+
 def test_a_campaign_flies_its_arms_and_sums_them_up(tmp_path: Path) -> None:
     path = tmp_path / "campaign.toml"
     path.write_text(

@@ -59,6 +59,11 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "deploy/workers/client.py",
+        "tests/test_starts.py",
+        ("workers: packages in the folder of the command are taken for ours", '"-P", "-m"', '"-m"'),
+    ),
+    *_of(
         "deploy/mission/flight.py",
         "tests/deploy/mission/test_misbehaviour.py",
         (

@@ -199,7 +199,7 @@ class _Lane:
         arguments += [str(self._slots)] if self._slots else []
         with log.open("ab") as file:
             process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
-                [sys.executable, "-m", "dashboard.api.processes.campaign_process", *arguments],
+                [sys.executable, "-P", "-m", "dashboard.api.processes.campaign_process", *arguments],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=file,

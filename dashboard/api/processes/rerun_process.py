@@ -56,7 +56,15 @@ def rerun(outcome: Outcome, what: What, *paths: str) -> str:
         raise ConflictError("another run is being flown again: one at a time")
     try:
         done = subprocess.run(  # noqa: S603 - our own interpreter and module
-            [sys.executable, "-m", "dashboard.api.processes.rerun_process", str(getpid()), what, *paths],
+            [
+                sys.executable,
+                "-P",
+                "-m",
+                "dashboard.api.processes.rerun_process",
+                str(getpid()),
+                what,
+                *paths,
+            ],
             input=outcome.model_dump_json(by_alias=True).encode(),
             capture_output=True,
             start_new_session=True,
