@@ -14,6 +14,7 @@ import httpx
 import pytest
 
 from dashboard.client import Client
+from services.system.lifeline import die_with_parent
 from tests.conftest import wait_until
 
 PATIENCE_S = 300.0
@@ -53,7 +54,13 @@ def serving(folder: Path, *arguments: str, store: str = "", port: int = 0) -> It
         str(port),
     ]
     with said.open("ab") as log:
-        process = subprocess.Popen([*command, *arguments], stdout=log, stderr=log, env=dict(os.environ))
+        process = subprocess.Popen(
+            [*command, *arguments],
+            stdout=log,
+            stderr=log,
+            env=dict(os.environ),
+            preexec_fn=die_with_parent,  # noqa: PLW1509 - one system call
+        )
     one = Serving(process, f"http://127.0.0.1:{port}", said)
 
     def ready() -> bool:
