@@ -42,3 +42,11 @@ def refusal(*arguments: object) -> str:
     assert answer.stderr.startswith("zenfi: ")
     assert answer.stderr.count("\n") == 1
     return answer.stderr.removeprefix("zenfi: ").removesuffix("\n")
+
+
+def not_ours(folder: Path) -> Path:
+    """A folder with packages that are called like ours: somebody's project, or another checkout."""
+    for name in ("services", "deploy", "injector", "sim", "detector", "dashboard"):
+        (folder / name).mkdir(parents=True)
+        (folder / name / "__init__.py").write_text("raise SystemExit('not ours')\n")
+    return folder

@@ -13,7 +13,7 @@ from click import Context
 from dashboard.cli import COMMANDS
 from dashboard.cli import zenfi as zenfi_group
 from tests.conftest import PATIENCE_S, alive, descendants, folders, node, segments, wait_until
-from tests.dashboard.command import ZENFI, refusal, zenfi
+from tests.dashboard.command import ZENFI, not_ours, refusal, zenfi
 
 FORBID_PTRACE = Path(__file__).parent.parent / "fixtures" / "forbid_ptrace.py"
 
@@ -149,10 +149,7 @@ def test_a_bad_campaign_is_refused_with_the_field_named(text: str, says: str, tm
 
 
 def test_packages_of_the_folder_where_a_campaign_is_run_are_not_taken_for_ours(tmp_path: Path) -> None:
-    for name in ("services", "deploy", "injector", "sim", "detector", "dashboard"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").write_text("raise SystemExit('not ours')\n")
-    (tmp_path / "x.toml").write_text(
+    (not_ours(tmp_path) / "x.toml").write_text(
         'name = "x"\nruns = 1\narms = [{name = "golden"}]\nmission = {limits = {mission_time_s = 1.0}}\n'
     )
     command = [ZENFI, "campaign", "run", "x.toml", "--json", "--store", str(tmp_path / "store")]

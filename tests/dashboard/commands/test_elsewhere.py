@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tests.dashboard.command import ZENFI
+from tests.dashboard.command import ZENFI, not_ours
 
 FEW = """
 name = "few"
@@ -46,8 +46,7 @@ def said(
 
 def answers(folder: Path, *arguments: object) -> list[list[Any]]:
     """What a command says here, in another shell and as another kind of process."""
-    other = folder / "other"
-    other.mkdir()
+    other = not_ours(folder / "other")
     variables = {f"MORE_{number}": "y" * number for number in range(50)}
     shell = {**os.environ, **variables, "PATH": f"{os.environ['PATH']}:/{'x' * 90}", "LANG": "de_DE.UTF-8"}
     small = {
@@ -86,7 +85,8 @@ def test_a_campaign_of_faults_is_the_same_everywhere(tmp_path: Path) -> None:
     found = []
     for number, slots in enumerate((1, 2)):
         run = ("campaign", "run", tmp_path / "few.toml", "--store", tmp_path / str(number), "--slots", slots)
-        lines = said(run, os.environ, tmp_path, be_another_process if number else lambda: None)
+        here = not_ours(tmp_path / "other") if number else tmp_path
+        lines = said(run, os.environ, here, be_another_process if number else lambda: None)
         runs = {(one["arm"], one["index"]): flown(one["outcome"]) for one in lines if one.get("outcome")}
         found.append(runs)
     assert len(found[0]) == 2
