@@ -55,16 +55,9 @@ def rerun(outcome: Outcome, what: What, *paths: str) -> str:
     if not _flying.acquire(blocking=False):
         raise ConflictError("another run is being flown again: one at a time")
     try:
+        own = [sys.executable, "-P", "-m", "dashboard.api.processes.rerun_process"]
         done = subprocess.run(  # noqa: S603 - our own interpreter and module
-            [
-                sys.executable,
-                "-P",
-                "-m",
-                "dashboard.api.processes.rerun_process",
-                str(getpid()),
-                what,
-                *paths,
-            ],
+            [*own, str(getpid()), what, *paths],
             input=outcome.model_dump_json(by_alias=True).encode(),
             capture_output=True,
             start_new_session=True,

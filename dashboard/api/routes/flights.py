@@ -90,9 +90,8 @@ def inject_by_hand(
     if flight.present is None:
         message = f"{campaign.label} is not under way: it is {flight.campaign.phase}"
         raise ConflictError(message)
-    return _created(
-        service, mission.model_copy(update={"fault": _from_now(new, flight.present)}), response, None
-    )
+    struck = mission.model_copy(update={"fault": _from_now(new, flight.present)})
+    return _created(service, struck, response, None)
 
 
 def _from_now(new: HandMadeFault, present: FlightStatus) -> FaultSpec:
