@@ -230,7 +230,9 @@ class Outcome(Strict):
     recording: RecordingReport | None = None
     propagation: Propagation | None = Field(default=None, description="of a recorded flight with a fault")
     refused_messages: int = Field(default=0, description="not recorded: no sequence number, or an old one")
-    recovered_messages: int = Field(default=0, description="late deliveries fetched again from the recorder")
+    recovered_messages: int = Field(
+        default=0, description="late deliveries fetched again from the recorder; differs from run to run"
+    )
     fixed_pids: bool = Field(default=False, description="nodes had the pids that they have in every flight")
 
 
