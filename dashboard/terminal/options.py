@@ -22,7 +22,7 @@ in_store = click.option(
 )
 
 FAULT_FORM = "LEVEL:TARGET[,NAME=VALUE...]"
-_LISTS = ("bit_numbers", "opcodes")
+_LISTS = ("bit_numbers", "opcodes", "where_set", "where_clear")
 _ELSEWHERE = {"seed": "--fault-seed", "level": f"the form {FAULT_FORM}", "target": f"the form {FAULT_FORM}"}
 DETECTOR_FORM = "SCHEME[,NAME=VALUE...]"
 

@@ -15,6 +15,7 @@ from iced_x86 import (
     MemorySizeExt,
     Mnemonic,
     OpAccess,
+    OpKind,
     RegisterExt,
     RflagsBits,
 )
@@ -110,6 +111,15 @@ def _candidate(instruction: iced_x86.Instruction, register: Register, role: Role
         yield Candidate(name, role, width, "vector", element)
     elif RegisterExt.is_k(register):
         yield Candidate(name, role, _mask_bits(instruction), "mask")
+
+
+def first_input(instruction: iced_x86.Instruction) -> Candidate | None:
+    """The first register that an instruction names as an operand and reads: of ``mulsd xmm0,xmm1`` xmm0."""
+    info = iced_x86.InstructionInfoFactory().info(instruction)
+    for operand in range(instruction.op_count):
+        if instruction.op_kind(operand) == OpKind.REGISTER and info.op_access(operand) in _READS:
+            return next(_candidate(instruction, instruction.op_register(operand), "source"), None)
+    return None
 
 
 def _name(register: Register) -> str:

@@ -17,7 +17,7 @@ from iced_x86 import Code, Encoder, MemoryOperand, Register
 from injector.block_profile.translation_memory import TranslationMemory
 from injector.block_profile.x86_64_translator import TRAP
 from injector.isa.instruction import Candidate
-from injector.isa.x86_64_registers import GENERAL, STATUS_FLAGS, VECTOR
+from injector.isa.x86_64_registers import GENERAL, STATUS_FLAGS, VECTOR, RegisterPart
 
 OFF, TRAPPING, STRIKING = 0, 1, 2
 """What the code of a defect does: nothing, trap, or strike."""
@@ -29,7 +29,9 @@ _RCX_LESS_ONE = b"\x48\x8d\x49\xff"  # lea rcx,[rcx-1]
 _TRAP_AT_ZERO = b"\xe3\x02\xeb\x01" + TRAP  # jrcxz to the trap, jmp over it
 _SORT_BY_RCX = b"\xe3\x08" + _RCX_LESS_ONE + b"\xe3\x07\xeb\x06"  # 0: on; 1: six on; else seven on
 _JUMP = b"\xe9"
-_RAX_IS = b"\x48\xb8"  # mov rax,n
+_RAX_IS, _RCX_IS = b"\x48\xb8", b"\x48\xb9"  # mov rax,n
+_AND_RCX, _COMPARE_RCX = b"\x48\x21\xc8", b"\x48\x39\xc8"  # and rax,rcx; cmp rax,rcx
+_RCX_OFF_IF_UNEQUAL = b"\xb8\0\0\0\0\x48\x0f\x45\xc8"  # mov eax,OFF; cmovne rcx,rax
 _XOR_WITH_RAX, _XOR_RAX, _OR_WITH_RAX = b"\x48\x31\x05", b"\x48\x33\x05", b"\x48\x09\x05"
 _INCREMENT = b"\x48\xff\x05"
 _PUSH_FLAGS, _POP_FLAGS, _XOR_FLAGS = b"\x9c", b"\x9d", b"\x48\x81\x34\x24"  # the last: xor qword [rsp],n
@@ -46,8 +48,9 @@ class UnstrikableError(ValueError):
 class ControlWords:
     """Addresses of the words by which the injector and such code know of each other.
 
-    ``left``: executions to the next trap. ``mode``: see :data:`OFF`. ``strikes`` counts what struck;
-    ``unread`` is not zero if a register was not what it was to become. ``rcx`` and the like keep registers.
+    ``left``: executions to the next trap. ``mode``: see :data:`OFF`; ``matched``: the mode, or OFF if an
+    operand is not what a defect needs. ``strikes`` counts what struck; ``unread`` is not zero if a register
+    was not what it was to become. ``rcx`` and the like keep registers.
     """
 
     rcx: int
@@ -55,6 +58,7 @@ class ControlWords:
     rsp: int
     left: int
     mode: int
+    matched: int
     strikes: int
     unread: int
     register: int
@@ -64,11 +68,11 @@ class ControlWords:
     @classmethod
     def in_memory(cls, memory: TranslationMemory) -> ControlWords:
         """Words of their own in the memory for translations."""
-        rcx, rax, rsp, left, mode, strikes, unread = (memory.words(1) for _ in range(7))
+        rcx, rax, rsp, left, mode, matched, strikes, unread = (memory.words(1) for _ in range(8))
         register, read_back = memory.words(_WORDS), memory.words(_WORDS)
         memory.words(_STACK)
         stack = memory.words(1)
-        return cls(rcx, rax, rsp, left, mode, strikes, unread, register, read_back, stack)
+        return cls(rcx, rax, rsp, left, mode, matched, strikes, unread, register, read_back, stack)
 
 
 _STACK = 2048
@@ -101,23 +105,44 @@ class CountdownCode:
         return b""
 
 
+@dataclass(frozen=True, slots=True)
+class InputPattern:
+    """What an ``operand`` must hold for a defect to show: in the bits of ``mask``, those of ``value``."""
+
+    operand: Candidate
+    mask: int
+    value: int
+
+
 class DefectCode:
     """Code that inverts bits of a register: of a source before the instruction, of a destination after it."""
 
-    def __init__(self, words: ControlWords, operand: Candidate, mask: int, *, wide: bool) -> None:
+    def __init__(
+        self,
+        words: ControlWords,
+        operand: Candidate,
+        mask: int,
+        pattern: InputPattern | None = None,
+        *,
+        wide: bool,
+    ) -> None:
         """Invert the bits of ``mask`` in ``operand``. The processor is ``wide`` if it has AVX-512.
 
         :raises UnstrikableError: if it is no register that can be struck so.
         """
-        self._words, self._operand, self._mask = words, operand, mask
-        self._moves = (
-            None if operand.register_class in ("gpr", "flags") else _moves(operand.register, wide=wide)
-        )
+        self._words, self._operand, self._mask, self._pattern = words, operand, mask, pattern
+        self._moves = _moves(operand, wide=wide)
+        self._moves_in = None if pattern is None else _moves(pattern.operand, wide=wide)
         self.trapped_at = self.end = 0
 
     def before(self, at: int) -> bytes:
-        """The code, if the operand is a source."""
-        return self._code(at) if self._operand.role == "source" else b""
+        """The code that looks at what is read, if it matters, and strikes, if the operand is a source."""
+        out = _Assembly(at)
+        if self._pattern is not None:
+            self._write_match(out, self._pattern)
+        if self._operand.role == "source":
+            out.put(self._code(out.here))
+        return bytes(out.code)
 
     def after(self, at: int) -> bytes:
         """The code, if the operand is a destination."""
@@ -128,7 +153,7 @@ class DefectCode:
         for _ in range(2):  # how far it is to the end is known once it is written
             out, size = _Assembly(at), len(strike.code)
             out.beside(_STORE_RCX, words.rcx)
-            out.beside(_LOAD_RCX, words.mode)
+            out.beside(_LOAD_RCX, words.mode if self._pattern is None else words.matched)
             out.put(_SORT_BY_RCX)
             out.put(_JUMP + _DISPLACEMENT.pack(len(TRAP) + size))
             out.put(TRAP)
@@ -140,35 +165,72 @@ class DefectCode:
         self.end = out.here
         return bytes(out.code)
 
-    def _write_strike(self, out: _Assembly) -> None:
+    def _write_match(self, out: _Assembly, pattern: InputPattern) -> None:
+        words = self._words
+        out.beside(_STORE_RCX, words.rcx)
+        self._keep(out)
+        part = GENERAL.get(pattern.operand.register)
+        shift = 0 if part is None else part.shift
+        kept = None if part is None else self._kept(part)
+        if kept is not None:
+            out.beside(_LOAD_RAX, kept)
+        else:
+            assert self._moves_in is not None  # noqa: S101 - flags are no named operand
+            store, _, register = self._moves_in
+            out.store(store, register, words.register)
+            out.beside(_LOAD_RAX, words.register)
+        out.put(_RCX_IS + _WORD.pack(pattern.mask << shift))
+        out.put(_AND_RCX)
+        out.put(_RCX_IS + _WORD.pack(pattern.value << shift))
+        out.put(_COMPARE_RCX)
+        out.beside(_LOAD_RCX, words.mode)
+        out.put(_RCX_OFF_IF_UNEQUAL)
+        out.beside(_STORE_RCX, words.matched)
+        self._restore(out)
+        out.beside(_LOAD_RCX, words.rcx)
+
+    def _keep(self, out: _Assembly) -> None:
+        """Keep rax, rsp and flags; rcx is kept."""
         words = self._words
         out.beside(_STORE_RAX, words.rax)
         out.beside(_STORE_RSP, words.rsp)
         out.beside(_POINT_RSP, words.stack)
         out.put(_PUSH_FLAGS)
+
+    def _restore(self, out: _Assembly) -> None:
+        out.put(_POP_FLAGS)
+        out.beside(_LOAD_RSP, self._words.rsp)
+        out.beside(_LOAD_RAX, self._words.rax)
+
+    def _kept(self, part: RegisterPart) -> int | None:
+        """Where a register is kept, if the code needs it for itself."""
+        words = self._words
+        return {"rax": words.rax, "rcx": words.rcx, "rsp": words.rsp}.get(part.whole)
+
+    def _write_strike(self, out: _Assembly) -> None:
+        words = self._words
+        self._keep(out)
         if self._operand.register_class == "flags":
             assert self._mask < 1 << max(STATUS_FLAGS) + 1  # noqa: S101 - they are drawn of these
             out.put(_XOR_FLAGS + _DISPLACEMENT.pack(self._mask))
         elif self._operand.register_class == "gpr":
             self._write_general(out)
         else:
-            assert self._moves is not None  # noqa: S101 - see above
+            assert self._moves is not None  # noqa: S101 - all but flags are moved
             self._write_moved(out, self._mask, *self._moves)
         out.beside(_INCREMENT, words.strikes)
-        out.put(_POP_FLAGS)
-        out.beside(_LOAD_RSP, words.rsp)
-        out.beside(_LOAD_RAX, words.rax)
+        self._restore(out)
 
     def _write_general(self, out: _Assembly) -> None:
         part = GENERAL[self._operand.register]
         mask = self._mask << part.shift
-        kept = {"rax": self._words.rax, "rcx": self._words.rcx, "rsp": self._words.rsp}.get(part.whole)
+        kept = self._kept(part)
         if kept is not None:  # it is loaded from there
             out.put(_RAX_IS + _WORD.pack(mask))
             out.beside(_XOR_WITH_RAX, kept)
             return
-        register = getattr(Register, part.whole.upper())
-        self._write_moved(out, mask, Code.MOV_RM64_R64, Code.MOV_R64_RM64, register)
+        assert self._moves is not None  # noqa: S101 - all but flags are moved
+        self._write_moved(out, mask, *self._moves)
 
     def _write_moved(self, out: _Assembly, mask: int, store: int, load: int, register: int) -> None:
         words = self._words
@@ -185,9 +247,14 @@ class DefectCode:
             out.beside(_OR_WITH_RAX, words.unread)
 
 
-def _moves(name: str, *, wide: bool) -> tuple[int, int, int]:
-    """The codes that store and load a vector or mask register and nothing beside it, and its number."""
-    if name.startswith("k"):
+def _moves(operand: Candidate, *, wide: bool) -> tuple[int, int, int] | None:
+    """The codes that store and load a register and nothing beside it, and its number; None for flags."""
+    name = operand.register
+    if operand.register_class == "flags":
+        return None
+    if operand.register_class == "gpr":
+        return Code.MOV_RM64_R64, Code.MOV_R64_RM64, getattr(Register, GENERAL[name].whole.upper())
+    if operand.register_class == "mask":
         return Code.VEX_KMOVQ_M64_KR, Code.VEX_KMOVQ_KR_KM64, getattr(Register, name.upper())
     if name not in VECTOR:
         raise UnstrikableError(name)

@@ -21,10 +21,10 @@ from injector.block_profile.x86_64_translator import (
 from injector.faults.eligibility import eligible_registers, is_eligible
 from injector.isa.host import decode
 from injector.isa.instruction import Candidate, DecodeError, Instruction
-from injector.isa.x86_64_decoder import mnemonic
+from injector.isa.x86_64_decoder import first_input, mnemonic
 from injector.isa.x86_64_registers import register_classes
 from injector.recurrence.schedule import draws_of_defect
-from injector.recurrence.strike_code import OFF, ControlWords, CountdownCode, DefectCode
+from injector.recurrence.strike_code import OFF, ControlWords, CountdownCode, DefectCode, InputPattern
 from injector.recurrence.unwinding import TrappedUnwinder
 from injector.tracing import ptrace
 from injector.tracing.process import Process
@@ -145,7 +145,7 @@ class StruckCode(TranslatedCode):
         if not is_eligible(fault, instruction):
             return None
         place = (
-            self._defect(instruction, flows=one.flow_control == FlowControl.NEXT)
+            self._defect(instruction, one)
             if fault.recurrence == "permanent"
             else StrikePlace(instruction, CountdownCode(self.words))
         )
@@ -154,14 +154,26 @@ class StruckCode(TranslatedCode):
         self._new.append(place)
         return place.inserted
 
-    def _defect(self, instruction: Instruction, *, flows: bool) -> StrikePlace | None:
+    def _defect(self, instruction: Instruction, decoded: iced_x86.Instruction) -> StrikePlace | None:
         """The operand of an instruction that a defective unit spoils: a destination, if not a source."""
+        flows = decoded.flow_control == FlowControl.NEXT
         role = "source" if self._fault.operand == "source" else "destination"
         eligible = [one for one in eligible_registers(self._fault, instruction) if one[0].role == role]
         if not eligible or (role == "destination" and not flows):
+            return None
+        pattern = self._pattern(decoded)
+        if pattern is None and self._fault.operand_pattern is not None:
             return None
         of_operand, of_bits = draws_of_defect(self._fault, self._seed)
         operand, among = eligible[int(of_operand.integers(len(eligible)))]
         bits = draw_bits(self._fault, among, of_bits)
         mask = struck(self._fault, 0, bits)
-        return StrikePlace(instruction, DefectCode(self.words, operand, mask, wide=self._wide), operand, bits)
+        code = DefectCode(self.words, operand, mask, pattern, wide=self._wide)
+        return StrikePlace(instruction, code, operand, bits)
+
+    def _pattern(self, decoded: iced_x86.Instruction) -> InputPattern | None:
+        """What the fault asks of the instruction's input; None if nothing, or it has not all those bits."""
+        asked, read = self._fault.operand_pattern, first_input(decoded)
+        if asked is None or read is None or asked[0] >> read.width_bits:
+            return None
+        return InputPattern(read, *asked)

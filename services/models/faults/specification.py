@@ -43,6 +43,9 @@ class FaultSpec(Strict):
     ``rate``, as a Poisson process of ``rate_hz`` in virtual time, each upset in the next message, or in the
     time that the kernel takes.
 
+    A ``permanent`` defect of instructions may depend on what they read: it then shows only in executions
+    whose first named register, of those read, has the bits ``where_set`` set and ``where_clear`` clear.
+
     ``mask`` says which bits are drawn: ``bits`` distinct ones; with ``uniform`` every non-zero mask of what
     is accessed or of the ``field`` alike; with ``byte`` and ``word`` every non-zero mask of one aligned byte
     or 32-bit word alike; or as a ``histogram`` says.
@@ -85,6 +88,10 @@ class FaultSpec(Strict):
     opcodes: tuple[str, ...] | None = Field(
         default=None, description="mnemonics of the instructions that a fault which recurs strikes"
     )
+    where_set: tuple[int, ...] | None = Field(
+        default=None, description="of a permanent defect: bits of the first register read that must be 1"
+    )
+    where_clear: tuple[int, ...] | None = Field(default=None, description="those that must be 0")
     from_s: float = Field(default=0.0, ge=0, le=3600, description="virtual time from which it recurs")
     until_s: float | None = Field(default=None, gt=0, le=3600, description="virtual time until which")
     size: float | None = Field(
@@ -175,6 +182,7 @@ class FaultSpec(Strict):
             yield from self._execution_problems()
         elif self.opcodes is not None:
             yield "opcodes goes with level instruction and recurrence intermittent, permanent or rate"
+        yield from self._pattern_problems()
         needs = {"intermittent": "probability", "rate": "rate_hz"}
         for kind, name in needs.items():
             if (getattr(self, name) is not None) != (self.recurrence == kind):
@@ -196,6 +204,20 @@ class FaultSpec(Strict):
             yield "opcodes: expected mnemonics, like mulsd"
         if self.trigger is not None and (self.trigger.site is not None or self.trigger.cpu_ns is not None):
             yield f"recurrence {self.recurrence} has no one site: leave out site and cpu_ns"
+
+    @property
+    def operand_pattern(self) -> tuple[int, int] | None:
+        """The bits of an operand that a defect depends on, and which of them must be 1; None: of none."""
+        ones, zeros = (sum(1 << bit for bit in bits or ()) for bits in (self.where_set, self.where_clear))
+        return (ones | zeros, ones) if ones | zeros else None
+
+    def _pattern_problems(self) -> Iterator[str]:
+        given = [bits for bits in (self.where_set, self.where_clear) if bits is not None]
+        if given and not (self.recurs_in_instructions and self.recurrence == "permanent"):
+            yield "where_set and where_clear go with level instruction and recurrence permanent"
+        numbers = [bit for bits in given for bit in bits]
+        if not all(given) or len(set(numbers)) < len(numbers) or not all(0 <= bit < 64 for bit in numbers):
+            yield f"where_set, where_clear: expected distinct numbers from 0 to 63, got {numbers}"
 
     def _source_problems(self) -> Iterator[str]:
         if self.model not in ("bitflip", "none"):

@@ -185,6 +185,73 @@ def defective_unit(folder: Path, name: str) -> None:
             assert strike.instruction.split()[0] == what["opcodes"]
 
 
+PATTERNS: dict[
+    str, tuple[str, dict[str, object], Callable[[int], bool], Callable[[int], int], Callable[[int], int]]
+] = {
+    "a destination, by the integer that is read": (
+        assembly("imulq $3,%%rsi,%%r9; movq %%r9,%%rdi"),
+        {"opcodes": "imul", "register_class": "gpr", "where_set": [1], "where_clear": [0, 63]},
+        lambda i: i % 4 == 2,
+        lambda i: 3 * i ^ 32,
+        lambda i: 3 * i,
+    ),
+    "a source, in registers that the code needs": (
+        assembly("movq %%rsi,%%rcx; imulq $3,%%rcx,%%rax; movq %%rax,%%rdi"),
+        {"opcodes": "imul", "operand": "source", "register_class": "gpr", "where_set": [2]},
+        lambda i: bool(i & 4),
+        lambda i: 3 * (i ^ 32),
+        lambda i: 3 * i,
+    ),
+    "the second byte of a register": (
+        assembly("movq %%rsi,%%rdx; movb %%dl,%%dh; incb %%dh; movzbl %%dh,%%edi"),
+        {"opcodes": "inc", "register_class": "gpr", "where_clear": [0]},
+        lambda i: i % 2 == 0,
+        lambda i: i + 1 & 255 ^ 32,
+        lambda i: i + 1 & 255,
+    ),
+    "a product of floats, by an exponent that is odd": (
+        "volatile double x = i; return (long)(x * 3.0);",
+        {"opcodes": "mulsd", "where_set": [52], "bit_numbers": [63]},
+        lambda i: i > 0 and (1022 + i.bit_length()) % 2 == 1,
+        lambda i: -3 * i,
+        lambda i: 3 * i,
+    ),
+    "flags outlive it": (
+        assembly(
+            "cmpq $150,%%rsi; leaq 2(%%rsi),%%rdx; bswapq %%rdx; bswapq %%rdx;adcq $0,%%rdx; movq %%rdx,%%rdi"
+        ),
+        {"opcodes": "bswap", "where_set": [56]},
+        lambda i: i % 2 == 1,
+        lambda i: (i + 2 ^ 32) + (i < 150),
+        lambda i: i + 2 + (i < 150),
+    ),
+    "bits that the operand has not": (
+        assembly("imull $3,%%esi,%%r9d; movl %%r9d,%%edi"),
+        {"opcodes": "imul", "register_class": "gpr", "where_clear": [32]},
+        lambda _: False,
+        lambda i: 3 * i,
+        lambda i: 3 * i,
+    ),
+}
+"""Program, fault, whether it strikes in i, what comes of it then, and else."""
+
+
+def test_a_defect_shows_only_where_an_operand_is_as_asked(tmp_path: Path) -> None:
+    in_small_process(defects_by_operand, tmp_path)
+
+
+def defects_by_operand(folder: Path) -> None:
+    for number, (name, (body, what, strikes, spoiled, right)) in enumerate(PATTERNS.items()):
+        own = folder / str(number)
+        own.mkdir()
+        fault = defect(**{"bit_numbers": [5], **what})  # type: ignore[arg-type]
+        with standing(own, program(body)) as one:
+            found = Struck(one, own, fault)
+        expected = [spoiled(i) if strikes(i) else right(i) for i in range(TIMES)]
+        assert found.strikes == sum(map(strikes, range(TIMES))), name
+        assert found.result == sum(expected), (name, found.result, sum(expected))
+
+
 def test_bits_of_a_defect_are_drawn_once(tmp_path: Path) -> None:
     in_small_process(drawn_once, tmp_path)
 

@@ -149,6 +149,14 @@ def test_a_recurrence_says_what_it_needs(fields: dict[str, object], problem: str
         ({"recurrence": "rate", "rate_hz": 1.0, "model": "opcode"}, "bitflip or memory or none"),
         ({"recurrence": "rate", "rate_hz": 1.0, "scope": "thread"}, "leave out scope"),
         ({"recurrence": "rate", "rate_hz": 1.0, "trigger": {"cpu_ns": 5}}, "has no one site"),
+        ({"where_set": [3]}, "where_set and where_clear go with level instruction and recurrence permanent"),
+        ({"recurrence": "rate", "rate_hz": 1.0, "where_clear": [3]}, "go with level instruction"),
+        ({"recurrence": "permanent", "opcodes": ["mulsd"], "where_set": [64]}, "numbers from 0 to 63"),
+        ({"recurrence": "permanent", "opcodes": ["mulsd"], "where_set": []}, "numbers from 0 to 63"),
+        (
+            {"recurrence": "permanent", "opcodes": ["mulsd"], "where_set": [3], "where_clear": [3]},
+            r"expected distinct numbers from 0 to 63, got \[3, 3\]",
+        ),
     ],
 )
 def test_a_fault_that_recurs_in_instructions_says_what_it_needs(
