@@ -31,7 +31,7 @@ from services.models.world import (
 )
 from services.runtime.rng import generator
 from sim.generators import Scattered, scatter_forest, scatter_gates, scatter_traffic
-from sim.moving import NONE_MOVING, boxes_at, rows_of, swept
+from sim.moving import NONE_MOVING, rows_of, swept
 
 Floats = NDArray[np.float64]
 
@@ -78,8 +78,14 @@ class World:
 
     def moved(self, time_s: float) -> Floats:
         """The boxes of the moving obstacles at a virtual time, (m, 6)."""
-        boxes: Floats = boxes_at(self.moving, time_s)
-        return boxes
+        return _boxes_at(self.moving, time_s)
+
+
+def _boxes_at(moving: Floats, time_s: float) -> Floats:
+    from sim.moving_boxes import boxes_at  # noqa: PLC0415 - numba is slow to import; most worlds stand still
+
+    boxes: Floats = boxes_at(moving, time_s)
+    return boxes
 
 
 def world_names() -> list[str]:
@@ -114,7 +120,7 @@ def make_world(asked: str | WorldDefinition, seed: int) -> World:
     _refuse_bad_area(wanted)
     start, goal = np.array(wanted.start), np.array(wanted.goal)
     made = _given(wanted) if isinstance(wanted, BoxWorld) else _drawn(wanted, seed, start, goal)
-    obstacles = np.vstack([made.fixed, boxes_at(made.moving, 0.0)]) if len(made.moving) else made.fixed
+    obstacles = np.vstack([made.fixed, _boxes_at(made.moving, 0.0)]) if len(made.moving) else made.fixed
     bounds = np.array([wanted.lower, wanted.upper])
     return World(wanted.name, seed, bounds, obstacles, start, goal, made.moving)
 

@@ -6,7 +6,7 @@ import re
 
 import click
 
-from dashboard.campaigns.store.queries import default_folder
+from dashboard.campaigns.store.folder import default_folder
 from deploy.config.definitions import inlined
 from deploy.errors import BadSpecError
 from services.models.faults.specification import FaultSpec

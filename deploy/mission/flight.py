@@ -22,10 +22,10 @@ from deploy.recording.recorder import FlightRecorder, FlightTrace
 from services.bus import session
 from services.bus.horizon import Stamped
 from services.kernels import aimed_at
+from services.models.detection import DETECTOR
 from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
 from services.runtime.clock import FlightClock
-from services.runtime.node import DETECTOR
 from sim.mission.true_path import TruePath, read
 
 STALL_S = 20.0

@@ -12,6 +12,7 @@ from services.bus.horizon import NEVER_NS
 from services.bus.messages import decode
 from services.bus.topics import RECORDED, STAGES, TOPICS
 from services.kernels import aimed_at, scope_of
+from services.models.detection import DETECTOR
 from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from services.models.outcome import (
@@ -23,7 +24,6 @@ from services.models.outcome import (
     Outcome,
     QoF,
 )
-from services.runtime.node import DETECTOR
 
 
 @dataclass

@@ -15,9 +15,9 @@ from deploy.mission.supervisor import SupervisedNode, Supervisor
 from services.bus.horizon import NEVER_NS
 from services.bus.messages import Horizon, encode
 from services.bus.topics import HORIZON_TYPE
+from services.models.detection import DETECTOR
 from services.models.mission import MissionSpec
 from services.runtime.bus_proxy import LIFE_SHIFT
-from services.runtime.node import DETECTOR
 
 POLL_S = 0.02
 """Wall time between two looks at the processes while no message comes."""

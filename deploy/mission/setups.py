@@ -8,11 +8,11 @@ from pathlib import Path
 from deploy.config.platform import check_latency, load_platform
 from deploy.config.processes import ProcessDeclaration
 from services.kernels import KERNELS
+from services.models.detection import DETECTOR
 from services.models.faults.specification import Trigger
 from services.models.mission import MissionSpec
 from services.models.oracles.harm import HarmSpec
 from services.models.platform import KernelLatency
-from services.runtime.node import DETECTOR
 from services.runtime.setup import NodeSetup
 
 SIMULATOR = "sim"

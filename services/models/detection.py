@@ -8,6 +8,9 @@ from pydantic import Field
 
 from services.models.base import Strict
 
+DETECTOR = "detector"
+"""The process, and among the latencies that of one check."""
+
 Scope = Literal["all", "planning_control", "perception", "planning", "control", "off"]
 """The stages that recover: one of them, planning and control, all three (the paper, section V-E), or none."""
 

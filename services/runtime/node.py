@@ -23,7 +23,7 @@ from services.bus.messages import Injection, encode
 from services.bus.ports import Input, Parse, as_it_is
 from services.bus.proxy_link import NodeLink, ProxyAnswer
 from services.bus.topics import STAGES, TOPICS, published_by
-from services.models.detection import AlarmRecord
+from services.models.detection import DETECTOR, AlarmRecord
 from services.models.outcome import InjectionRecord
 from services.runtime.guard_counts import GuardCounts
 from services.runtime.kernel_timer import KernelTimer
@@ -37,9 +37,6 @@ VERDICT_TIMEOUT_S = 600.0
 """Wall time. A detector that hangs is killed long before, and then the question ends unanswered."""
 
 ALARM_TIMEOUT_S = 60.0
-
-DETECTOR = "detector"
-"""Among the latencies: that of one check."""
 
 TOPIC_NUMBERS = {name: number for number, name in enumerate(TOPICS)}
 

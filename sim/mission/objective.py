@@ -8,8 +8,9 @@ import numpy as np
 
 from services.models.mission import MissionSpec
 from services.runtime.rng import generator
-from sim.mission.area import CameraView, cells, mark_overflown
+from sim.mission.area import cells
 from sim.mission.referee import arrived
+from sim.mission.view import CameraView, mark_overflown
 from sim.vehicle.vehicle import Floats, Vehicle
 from sim.world import World
 

@@ -10,7 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from services.models.outcome import QoF
-from sim.moving import boxes_at
+from sim.moving_boxes import boxes_at
 from sim.vehicle.airframe import Airframe
 from sim.vehicle.energy import PowerModel, momentum_w, power_model, regression_w
 from sim.world import World

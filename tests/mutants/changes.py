@@ -861,7 +861,7 @@ MUTANTS: list[Mutant] = [
         ("pid: an error is summed up without a gain", "if tuning.integral != 0.0:", "if True:"),
     ),
     *_of(
-        "sim/moving.py",
+        "sim/moving_boxes.py",
         "tests/sim/test_moving.py",
         (
             "moving: an obstacle goes one way only and jumps back",

@@ -9,7 +9,8 @@ import pytest
 
 from services.models.equipment import Camera
 from sim.mission.qof import FlightMeter
-from sim.moving import boxes_at, swept
+from sim.moving import swept
+from sim.moving_boxes import boxes_at
 from sim.sensors.camera import DepthCamera
 from sim.vehicle.airframe import airframe
 from sim.vehicle.vehicle import STEP_S, Vehicle

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -18,6 +17,7 @@ from dashboard.campaigns.spec import CampaignSpec, Cell, Run
 from dashboard.campaigns.state_machine import CampaignPhase, CampaignStates, RunState
 from dashboard.campaigns.store import postgresql
 from dashboard.campaigns.store.database import Database
+from dashboard.campaigns.store.folder import default_folder
 from dashboard.campaigns.store.schema import CampaignRow, ResultRow, RunRow
 from dashboard.campaigns.store.sqlite import SqliteDatabase
 from deploy.errors import BadSpecError, one_line
@@ -56,12 +56,6 @@ class Campaign:
     def label(self) -> str:
         """The name and the number of the campaign."""
         return f"{self.spec.name}-{self.id}"
-
-
-def default_folder() -> Path:
-    """``ZENFI_HOME``, or the user's folder for data."""
-    home = os.environ.get("ZENFI_HOME")
-    return Path(home) if home else Path.home() / ".local" / "share" / "zenfi"
 
 
 class StoreQueries:
