@@ -64,7 +64,7 @@ def main(setup: NodeSetup, address: BusAddress, _: SharedStats) -> None:
     with session.open_session(address, setup.name) as bus:
         clock = FlightClock(address.clock) if setup.spec.clock == "realtime" else None
         gate = NodeGate(bus, aimed_at(fault), clock, programs(setup.spec))
-        publisher = bus.declare_publisher(session.topic_key("injection"))
+        publisher = session.declare_publisher(bus, session.topic_key("injection"))
         token = bus.liveliness().declare_token(announce.announcement(setup.name).key)
 
         def tell(record: InjectionRecord) -> None:

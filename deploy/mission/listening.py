@@ -43,7 +43,9 @@ class MissionBus:
         self._subscribe(bus, session.topic_key("injection"), self._take_injection)
         self._answer(bus, f"{session.HISTORY_KEY}/**", self._replay_history)
         self._answer(bus, session.alarm_key("*"), self._take_alarm)
-        self._horizons = {stage: bus.declare_publisher(session.horizon_key(stage)) for stage in STAGES}
+        self._horizons = {
+            stage: session.declare_publisher(bus, session.horizon_key(stage)) for stage in STAGES
+        }
 
     def take_in(self, timeout_s: float) -> bool:
         """Handle what has arrived; wait for it up to ``timeout_s``. False if nothing came."""

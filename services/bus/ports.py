@@ -116,14 +116,12 @@ class Outlet:
     def __init__(
         self, on: zenoh.Session, owner: str, topic: Topic, lookahead_ns: int, published: int
     ) -> None:
-        """Declare the publisher. Nothing may be lost on the way, so it waits rather than drops."""
+        """Declare the publisher."""
         self.lookahead_ns = lookahead_ns
         self.published = published
         self._gid = session.publisher_gid(owner, topic.name)
-        self._publisher = on.declare_publisher(
-            session.topic_key(topic.name),
-            congestion_control=zenoh.CongestionControl.BLOCK,
-            encoding=zenoh.Encoding.APPLICATION_CDR,
+        self._publisher = session.declare_publisher(
+            on, session.topic_key(topic.name), zenoh.Encoding.APPLICATION_CDR
         )
 
     def put(self, payload: bytes, ready_ns: int) -> None:

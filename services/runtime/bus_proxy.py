@@ -12,7 +12,6 @@ import time
 from collections.abc import Container, Iterable, Sequence
 
 import numpy as np
-import zenoh
 
 from services.bus import announce, proxy_link, session
 from services.bus.horizon import NEVER_NS, Stamped, earliest_activation, next_activation
@@ -71,9 +70,8 @@ class BusProxy:
             )
             for topic in topics
         }
-        self._horizon = self.session.declare_publisher(
-            session.horizon_key(self.name), congestion_control=zenoh.CongestionControl.BLOCK
-        )
+        self._horizon = session.declare_publisher(self.session, session.horizon_key(self.name))
+        self._injections = session.declare_publisher(self.session, session.topic_key("injection"))
 
     def _lookahead_ns(self, kernels: tuple[str, ...]) -> int:
         seed, stated, life = self._setup.spec.seed, self._setup.latencies, self._setup.life
@@ -165,7 +163,7 @@ class BusProxy:
 
     def _put(self, topic: str, payload: bytes, ready_ns: int) -> None:
         if topic == "injection":
-            self.session.put(session.topic_key(topic), payload)
+            self._injections.put(payload)
             return
         outlets = list(self._outlets)
         promised = self._promised[2 + outlets.index(topic)] if self._promised else 0
