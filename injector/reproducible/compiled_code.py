@@ -21,6 +21,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 """The folder of our packages."""
 
+BESIDE = Path(__file__).parent / "__pycache__"
+
 _FOLDER, _LOCK = 111, 112
 """Descriptors of the folder, and of the lock of who fills it."""
 
@@ -35,15 +37,18 @@ _PACKAGES = ("services", "sim", "injector", "detector", "deploy")
 _OF_PROCESSOR = ("model name", "flags", "Features", "CPU implementer", "CPU part")
 
 
-def parent_folder(of: Mapping[str, str]) -> Path:
-    """Where a user's compiled code is: beside our own byte code, or in the user's cache.
+def parent_folder(of: Mapping[str, str], beside: Path = BESIDE) -> Path:
+    """Where a user's compiled code is: ``beside`` our own byte code, or in the user's cache.
 
-    ``of`` is the user's environment; its NUMBA_CACHE_DIR comes first.
+    ``of`` is the user's environment; its NUMBA_CACHE_DIR comes first. What lies beside our byte code and belongs
+    to somebody else is left alone: its code would be executed, and a process that may not add to it has
+    another memory.
     """
     if of.get("NUMBA_CACHE_DIR"):
         return Path(of["NUMBA_CACHE_DIR"]).absolute() / "zenfi"
-    beside = Path(__file__).parent / "__pycache__"
-    if os.access(beside if beside.exists() else beside.parent, os.W_OK):
+    folders = (beside / "compiled", beside, beside.parent)
+    nearest = next(folder for folder in folders if folder.exists())
+    if nearest.stat().st_uid == os.geteuid() and os.access(nearest, os.W_OK):
         return beside / "compiled"
     cache = of.get("XDG_CACHE_HOME") or f"{of.get('HOME') or Path.home()}/.cache"
     return Path(cache).absolute() / "zenfi" / "compiled"

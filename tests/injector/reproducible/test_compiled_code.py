@@ -13,6 +13,7 @@ from deploy.mission.fork_server import ForkServer
 from injector.reproducible.compiled_code import parent_folder
 
 ROOT = Path(__file__).parents[3]
+NOBODY = 65534
 
 FILLING = """
 import os, sys
@@ -67,6 +68,16 @@ def test_it_lies_beside_our_byte_code_or_where_the_user_says(tmp_path: Path) -> 
     beside = parent_folder({"HOME": str(tmp_path)})
     assert beside.parent.parent == ROOT / "injector" / "reproducible"
     assert parent_folder({"NUMBA_CACHE_DIR": str(tmp_path)}).is_relative_to(tmp_path)
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder to another user")
+def test_what_another_user_has_filled_is_left_alone(tmp_path: Path) -> None:
+    beside, cache = tmp_path / "__pycache__", {"XDG_CACHE_HOME": str(tmp_path / "cache")}
+    assert parent_folder(cache, beside) == beside / "compiled"
+    (beside / "compiled").mkdir(parents=True, mode=0o777)
+    assert parent_folder(cache, beside) == beside / "compiled"
+    os.chown(beside / "compiled", NOBODY, -1)
+    assert parent_folder(cache, beside) == tmp_path / "cache" / "zenfi" / "compiled"
 
 
 @pytest.mark.soak
