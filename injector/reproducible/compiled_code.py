@@ -40,9 +40,9 @@ _OF_PROCESSOR = ("model name", "flags", "Features", "CPU implementer", "CPU part
 def parent_folder(of: Mapping[str, str], beside: Path = BESIDE) -> Path:
     """Where a user's compiled code is: ``beside`` our own byte code, or in the user's cache.
 
-    ``of`` is the user's environment; its NUMBA_CACHE_DIR comes first. What lies beside our byte code and belongs
-    to somebody else is left alone: its code would be executed, and a process that may not add to it has
-    another memory.
+    ``of`` is the user's environment; its NUMBA_CACHE_DIR comes first. What lies beside our byte code and
+    belongs to somebody else is left alone: its code would be executed, and a process that may not add to it
+    has another memory.
     """
     if of.get("NUMBA_CACHE_DIR"):
         return Path(of["NUMBA_CACHE_DIR"]).absolute() / "zenfi"
@@ -104,7 +104,11 @@ def finish() -> None:
 
 
 def _installation(settings: Mapping[str, str]) -> str:
-    """A name for all that decides on the code: compilers, processor, and the sources that are compiled."""
+    """A name for all that decides on the code: compilers, processor, and our sources.
+
+    All of them, not those alone that are compiled: what numba keeps depends on what else was in the memory of
+    the process that compiled, and with it the memory of all that load it.
+    """
     about = [
         sys.version,
         platform.machine(),
@@ -115,9 +119,8 @@ def _installation(settings: Mapping[str, str]) -> str:
     about += [line for line in _processor() if line.startswith(_OF_PROCESSOR)]
     for package in _PACKAGES:
         for file in sorted((ROOT / package).rglob("*.py")):
-            if b"njit" in file.read_bytes():
-                status = file.stat()
-                about.append(f"{file} {status.st_mtime_ns} {status.st_size}")
+            status = file.stat()
+            about.append(f"{file} {status.st_mtime_ns} {status.st_size}")
     return hashlib.sha256("\n".join(about).encode()).hexdigest()[:16]
 
 

@@ -116,7 +116,7 @@ class Outlet:
     def __init__(
         self, on: zenoh.Session, owner: str, topic: Topic, lookahead_ns: int, published: int
     ) -> None:
-        """Declare the publisher."""
+        """Declare the publisher of ``topic``, whose next message has the number ``published``."""
         self.lookahead_ns = lookahead_ns
         self.published = published
         self._gid = session.publisher_gid(owner, topic.name)

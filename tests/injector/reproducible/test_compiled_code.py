@@ -19,6 +19,8 @@ FILLING = """
 import os, sys
 from pathlib import Path
 from injector.reproducible import compiled_code
+if len(sys.argv) > 2:
+    compiled_code.ROOT = Path(sys.argv[2])
 compiled_code.open_folder(Path(sys.argv[1]), {})
 print(compiled_code.is_unfinished(), flush=True)
 sys.stdin.readline()
@@ -29,8 +31,8 @@ print(compiled_code.folder().name, flush=True)
 """
 
 
-def filling(parent: Path) -> "subprocess.Popen[str]":
-    command = [sys.executable, "-c", FILLING, str(parent)]
+def filling(parent: Path, *sources: Path) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-c", FILLING, str(parent), *map(str, sources)]
     return subprocess.Popen(command, cwd=ROOT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
 
@@ -62,6 +64,20 @@ def test_what_one_left_half_filled_is_begun_anew(tmp_path: Path) -> None:
         assert line(process) == "True"
         name = process.communicate("go\n")[0].strip()
     assert [one.name for one in (tmp_path / name).iterdir()] == ["code"]
+
+
+def test_a_change_of_any_source_begins_another(tmp_path: Path) -> None:
+    """What is kept of a function depends on what else was in memory when it was compiled."""
+    (tmp_path / "services").mkdir()
+    (tmp_path / "services" / "wiring.py").write_text("")
+    begun = []
+    for content in ("", "", "more = 1"):
+        if content:
+            (tmp_path / "services" / "wiring.py").write_text(content)
+        with filling(tmp_path / "folders", tmp_path) as process:
+            begun.append(line(process))
+            process.communicate("go\n")
+    assert begun == ["True", "False", "True"]
 
 
 def test_it_lies_beside_our_byte_code_or_where_the_user_says(tmp_path: Path) -> None:
