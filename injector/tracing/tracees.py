@@ -22,7 +22,10 @@ STEP_LIMIT_S = 5.0
 """Wall time for one instruction: long enough for a page fault on a loaded machine."""
 
 END_LIMIT_S = 1.0
-"""Wall time for a killed thread to be gone."""
+"""Wall time for a thread that has ended to be gone; the first one of a process is once all others are."""
+
+DEATH_LIMIT_S = 20.0
+"""Wall time for a killed thread to be gone, on however loaded a machine: its parent hears of it after us."""
 
 QUIET_LIMIT_S = 0.1
 """Wall time for the threads beside the target thread to be asleep all at once."""
@@ -47,6 +50,7 @@ class PausableThreads(SeizedThreads):
         self.leave_out: Callable[[int], object] = lambda _pause_ns: None
         """Told how long everybody stood, just before they go on."""
         self._ending: list[Tracee] = []
+        self._awaits_death = False
 
     @property
     def pause_us(self) -> float:
@@ -210,7 +214,8 @@ class TraceeGroup(PausableThreads):
                 self._detach(thread)
             self.threads.clear()
             self._pause.end()
-            ptrace.wait_until(self._reaped, END_LIMIT_S)
+            ptrace.wait_until(self._reaped, DEATH_LIMIT_S if self._awaits_death else END_LIMIT_S)
+            self._awaits_death = False
 
     def _detach(self, thread: Tracee) -> None:
         try:
@@ -219,6 +224,7 @@ class TraceeGroup(PausableThreads):
             ptrace.detach(thread.tid, thread.next_signal())
         except ptrace.GoneError:
             self._ending.append(thread)
+            self._awaits_death = True
 
     def _swallow_timer_trap(self, thread: Tracee) -> None:
         """Take a timer's trap that was under way when the thread stopped: untraced, it would die of it."""
@@ -229,5 +235,6 @@ class TraceeGroup(PausableThreads):
 
     def _reaped(self) -> Literal[True] | None:
         """Take in the ends of threads that were killed: their parent hears of it only after us."""
-        self._ending = [thread for thread in self._ending if ptrace.poll(thread.tid) is None]
+        reports = [(thread, ptrace.poll(thread.tid)) for thread in self._ending]
+        self._ending = [thread for thread, report in reports if report is None or report.kind != "gone"]
         return None if self._ending else True
