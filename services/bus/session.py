@@ -103,7 +103,6 @@ def hand_over(take: Callable[[Any], None]) -> Callback[Any]:
     return Callback(take, indirect=False)
 
 
-@functools.cache
 def declare_publisher(on: zenoh.Session, key: str, encoding: zenoh.Encoding | None = None) -> zenoh.Publisher:
     """Declare a publisher that loses nothing: where the way is full, as on a loaded machine, it waits.
 
@@ -112,6 +111,7 @@ def declare_publisher(on: zenoh.Session, key: str, encoding: zenoh.Encoding | No
     return on.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK, encoding=encoding)
 
 
+@functools.cache
 def topic_key(name: str) -> str:
     """The key of a topic's messages, as rmw_zenoh forms it."""
     return data_key(DOMAIN_ID, name, TOPICS[name].type)

@@ -48,6 +48,12 @@ def test_a_publisher_waits_for_who_hears_it_and_loses_nothing(
     heard.undeclare()  # type: ignore[no-untyped-call]
 
 
+def test_each_publisher_is_declared_anew(ends: tuple[zenoh.Session, zenoh.Session]) -> None:
+    """One that were kept would keep its session, and the service opens one for each flight."""
+    _, other = ends
+    assert session.declare_publisher(other, "strikes") is not session.declare_publisher(other, "strikes")
+
+
 def test_nodes_publish_by_nothing_else() -> None:
     """Zenoh's own publishers drop what has no room."""
     found = {
