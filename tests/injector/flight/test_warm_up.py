@@ -20,15 +20,23 @@ def test_a_fork_that_somebody_kills_is_no_matter(tmp_path: Path) -> None:
 
 
 def killed_at_many_moments(_: Path) -> None:
-    own = os.getpid()
+    own, hits = os.getpid(), 0
     children = Path(f"/proc/{own}/task/{own}/children")
     for number in range(12):
         killer = os.fork()
         if not killer:
-            time.sleep(0.002 + 0.0015 * number)
-            for pid in {*map(int, children.read_text().split())} - {os.getpid()}:
-                with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
-            os._exit(0)
+            os._exit(kill_soon(children, 0.002 + 0.0015 * number))
         warm_up_on_a_fork(FaultSpec(target="pid"))
-        os.waitpid(killer, 0)
+        hits += os.waitstatus_to_exitcode(os.waitpid(killer, 0)[1])
+        assert not children.read_text(), "a fork was left"
+    assert hits, "no fork was killed: nothing was tried"
+
+
+def kill_soon(children: Path, after_s: float) -> int:
+    """Kill those of the processes that are not us; how many there were."""
+    time.sleep(after_s)
+    others = {*map(int, children.read_text().split())} - {os.getpid()}
+    for pid in others:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    return len(others)
