@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -307,11 +308,14 @@ def test_targets_of_an_injector_that_is_killed_live_on_untraced(stage: str) -> N
             cwd=Path(__file__).parents[3],
             stdout=subprocess.PIPE,
         )
-        assert injector.stdout is not None
-        assert injector.stdout.readline() == b"here\n"
-        assert tracer_of(target.pid) == injector.pid
-        injector.kill()
-        injector.communicate()
+        try:
+            assert injector.stdout is not None
+            assert injector.stdout.readline() == b"here\n"
+            time.sleep(0.05)  # several heartbeats of a pause
+            assert tracer_of(target.pid) == injector.pid
+        finally:
+            injector.kill()
+            injector.communicate()
         os.kill(target.pid, signal.SIGCONT)
         assert {tracer_of(tid) for tid in threads(target.pid)} == {0}
         target.use_time(3 * PERIOD_NS)
