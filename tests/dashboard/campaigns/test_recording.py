@@ -95,6 +95,7 @@ def test_what_became_of_files_is_stored_with_the_result(store: Store) -> None:
     assert store.file_counts(campaign) == {"kept": (1, 3_000_000_000)}
 
 
+@pytest.mark.soak
 def test_a_campaign_keeps_the_files_that_it_was_asked_for_and_shows_the_rest(
     tmp_path: Path, home: Path
 ) -> None:

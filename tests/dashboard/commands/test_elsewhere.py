@@ -75,7 +75,7 @@ def differences(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    "kernel", ["rrt_star", *(pytest.param(kernel, marks=pytest.mark.soak) for kernel in ("octomap", "pid"))]
+    "kernel", ["pid", *(pytest.param(kernel, marks=pytest.mark.soak) for kernel in ("octomap", "rrt_star"))]
 )
 def test_the_first_flight_of_a_fault_is_the_same_everywhere(tmp_path: Path, kernel: str) -> None:
     fault = f"instruction:{kernel}"

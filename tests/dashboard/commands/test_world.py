@@ -33,6 +33,7 @@ def test_an_exported_world_is_the_same_world_byte_for_byte(tmp_path: Path) -> No
     assert path.read_bytes() == first
 
 
+@pytest.mark.soak
 def test_a_flight_in_an_exported_world_is_the_flight_in_the_world(server: ForkServer) -> None:
     exported = DEFINITION.validate_python(tomllib.loads(to_toml(make_world("sparse", 7))))
     named, given = (fly(MissionSpec(world=world, seed=7), server).outcome for world in ("sparse", exported))

@@ -51,6 +51,7 @@ def test_a_watched_golden_flight_repeats_and_takes_the_time_of_its_checks(
     assert first.qof.distance_m == pytest.approx(bare.qof.distance_m, rel=0.01)
 
 
+@pytest.mark.soak
 def test_a_check_that_takes_no_time_leaves_the_flight_as_it_is(server: ForkServer) -> None:
     asked = spec({"scheme": "kinematic", "check_us": 0.0})
     bare = fly(asked.model_copy(update={"detector": None}), server).outcome

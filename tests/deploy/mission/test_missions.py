@@ -51,6 +51,7 @@ def test_a_mission_repeats(over_an_area: dict[str, Outcome], server: ForkServer)
     assert over_an_area["mapping"].digest == again.digest != over_an_area["search"].digest
 
 
+@pytest.mark.soak
 def test_a_flight_with_prm_star_arrives_and_repeats(server: ForkServer) -> None:
     first, second = (flown(server, planner="prm_star") for _ in range(2))
     assert first.result == "success"

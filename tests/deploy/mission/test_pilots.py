@@ -47,6 +47,7 @@ def test_it_takes_its_time_before_each_plan(baseline: Outcome, server: ForkServe
     assert slower.qof.flight_time_s > baseline.qof.flight_time_s + 4.0
 
 
+@pytest.mark.soak
 def test_a_waypoint_that_leads_astray_costs_the_baseline_what_it_does_not_cost_ours(
     baseline: Outcome, server: ForkServer
 ) -> None:

@@ -88,6 +88,7 @@ def test_with_the_gate_off_control_goes_on_to_the_next_waypoint(alarming: ForkSe
     assert sum(report.recomputed for report in first.nodes.values()) == 0
 
 
+@pytest.mark.soak
 def test_with_the_gate_off_and_no_recovery_a_flight_is_only_watched(
     golden: FlownMission, alarming: ForkServer
 ) -> None:

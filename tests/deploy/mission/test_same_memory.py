@@ -121,6 +121,7 @@ def test_in_another_kind_of_process(plain: tuple[Memory, set[int]], tmp_path: Pa
     assert len(different(one, other, numbers=False) - usual) <= FEW
 
 
+@pytest.mark.soak
 def test_from_python_by_another_of_its_names(plain: tuple[Memory, set[int]], tmp_path: Path) -> None:
     """A script that pip installs names ``python3``, a shell perhaps ``python``."""
     one, usual = plain

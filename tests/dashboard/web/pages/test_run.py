@@ -216,6 +216,7 @@ def test_a_run_tells_what_harmed_it_and_by_how_much_its_properties_hold(
     ]
 
 
+@pytest.mark.soak
 def test_a_run_without_a_fault_is_flown_again(
     service: Serving, looking: Looking, runs: dict[str, str]
 ) -> None:
