@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +33,7 @@ from services.models.faults.specification import FaultSpec
 from services.runtime import rng
 
 DRAWS, PARTS = 2000, 50
-MOST_STEPS = 30_000_000
+PIECE, MOST_STEPS = 1_000_000, 400_000_000
 SHORT = ("pid", "trajectory", "point_cloud", "collision_check", "rrt", "rrt_connect")
 """Kernels whose calls are stepped through within a minute."""
 
@@ -61,14 +59,36 @@ def standing(kernel: str) -> Iterator[tuple[TraceeGroup, RemoteForks, Tracee]]:
             forks.end(one)
 
 
-def stepped(tracees: TraceeGroup, forks: RemoteForks, root: Tracee) -> NDArray[np.uint64]:
-    """Where the call's instructions lie, in single steps; a repeated one counts once."""
+class SteppedCall:
+    """A call's instructions in the order in which they are executed, and where each address occurs."""
+
+    def __init__(self, addresses: NDArray[np.uint64]) -> None:
+        self.addresses = addresses
+        self._by_address = np.argsort(addresses, kind="stable")
+        self._sorted = addresses[self._by_address]
+
+    def passes(self, address: int) -> NDArray[np.int64]:
+        """Where in the call an address occurs, ascending."""
+        wanted = np.uint64(address)
+        begin, end = (int(np.searchsorted(self._sorted, wanted, side)) for side in ("left", "right"))
+        return self._by_address[begin:end]
+
+
+def stepped(tracees: TraceeGroup, forks: RemoteForks, root: Tracee) -> SteppedCall:
+    """The call in single steps; a repeated instruction counts once."""
     copy = forks.copy(root)
-    trace = tracees.trace(copy, MOST_STEPS)
-    assert copy.report is not None
-    assert copy.report.kind == "gate", "the call is too long"
+    pieces: list[NDArray[np.uint64]] = []
+    while len(pieces) * PIECE < MOST_STEPS:
+        pieces.append(np.array(tracees.trace(copy, PIECE), np.uint64))
+        assert copy.report is not None
+        if copy.report.kind == "gate":
+            break
+    else:
+        message = f"the call is longer than {MOST_STEPS:,} instructions"
+        raise SystemExit(message)
     forks.end(copy)
-    return np.array([address for address, _ in groupby(trace[:-1])], np.uint64)
+    trace = np.concatenate(pieces)[:-1]
+    return SteppedCall(trace[np.concatenate([[True], trace[1:] != trace[:-1]])])
 
 
 def counted(
@@ -94,24 +114,22 @@ def counted(
 
 
 def compared(
-    trace: NDArray[np.uint64], counts: InstructionCounts, eligible: Callable[[int], bool], seed: int
+    call: SteppedCall, counts: InstructionCounts, eligible: Callable[[int], bool], seed: int
 ) -> tuple[int, float]:
     """How many of the call's instructions are eligible, and the chi-square test's p of the draws."""
     among = {int(one) for one in counts.addresses if eligible(int(one))}
-    places = np.flatnonzero(np.isin(trace, np.array(sorted(among), np.uint64)))
+    places = np.flatnonzero(np.isin(call.addresses, np.array(sorted(among), np.uint64)))
     if not len(places):
         return 0, 1.0
-    passes: dict[int, list[int]] = defaultdict(list)
-    for number, address in enumerate(trace[places].tolist()):
-        passes[address].append(number)
     draw = rng.generator(seed, "sampling")
     parts = min(PARTS, len(places))
     drawn = np.zeros(parts)
     for _ in range(DRAWS):
         found = draw_instruction(counts, eligible, draw)
         assert found is not None
-        assert len(passes[found.address]) == found.passes
-        drawn[passes[found.address][found.hit - 1] * parts // len(places)] += 1
+        passes = call.passes(found.address)
+        assert len(passes) == found.passes
+        drawn[int(np.searchsorted(places, passes[found.hit - 1])) * parts // len(places)] += 1
     expected = np.bincount(np.arange(len(places)) * parts // len(places)) / len(places) * DRAWS
     return len(places), float(chisquare(drawn, expected).pvalue)
 
@@ -120,11 +138,11 @@ def study(kernel: str, seed: int) -> dict[str, tuple[int, float]]:
     """Of each way to narrow a fault: eligible instructions and p."""
     found = {}
     with standing(kernel) as (tracees, forks, root):
-        trace = stepped(tracees, forks, root)
-        found["stepped"] = (len(trace), 1.0)
+        call = stepped(tracees, forks, root)
+        found["stepped"] = (len(call.addresses), 1.0)
         for name, fields in NARROWED.items():
             fault = FaultSpec.model_validate({"target": kernel, **fields})
-            found[name] = compared(trace, *counted(forks, root, fault), seed)
+            found[name] = compared(call, *counted(forks, root, fault), seed)
     return found
 
 
