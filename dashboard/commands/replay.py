@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
@@ -34,7 +35,8 @@ def replay(source: str, store: str, as_json: bool) -> None:
     runs. Lines and runs without an injected flight are passed over and counted.
 
     Answers for each: replayed, relocated (the same, with memory lying elsewhere), diverged or not_reached.
-    Exit status 0 if all were replayed or relocated, else 1.
+    Exit status 0 if all were replayed or relocated, else 1. With --json a line for each flight says which it
+    was by the run's ID, or its line in the file.
     """
     with ExitStack() as held:
         keep: Callable[[int, str], None] = _keep_nowhere
@@ -74,7 +76,8 @@ def _flown_again(
             assert fault is not None  # noqa: S101 - only such flights were read
             found[fault.target][answer.answer] += 1
             if as_json:
-                click.echo(answer.model_dump_json())
+                which = {"flight": number, "struck": fault.target, "fault_seed": fault.seed}
+                click.echo(json.dumps({**which, "seed": outcome.spec.seed, **answer.model_dump()}))
             elif answer.answer not in REPEATED:
                 click.echo(f"{_name(outcome)}: {answer.answer}: {'; '.join(answer.differences)}")
             progress.advance(task)

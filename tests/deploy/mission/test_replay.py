@@ -145,7 +145,11 @@ def test_the_command_answers_for_each_flight(first: Outcome, tmp_path: Path) -> 
     file.write_text("\n".join(lines))
     answer = CliRunner().invoke(zenfi, ["replay", str(file), "--json"])
     assert answer.exit_code == 1
-    assert [json.loads(line)["answer"] for line in answer.stdout.splitlines()] == ["replayed", "diverged"]
+    told = [json.loads(line) for line in answer.stdout.splitlines()]
+    assert [(one["flight"], one["answer"]) for one in told] == [(1, "replayed"), (2, "diverged")]
+    fault = first.spec.fault
+    assert fault is not None
+    assert {(one["struck"], one["fault_seed"]) for one in told} == {(fault.target, fault.seed)}
 
 
 def test_a_fault_at_a_time_of_the_flight_strikes_the_next_call(pairs: PairFlyer) -> None:
