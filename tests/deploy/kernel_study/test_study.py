@@ -46,7 +46,7 @@ def test_the_same_seed_gives_the_same_records_whoever_makes_them(
         runs = [studied(fault, injections, slots, file) for slots, file in zip((1, 2), files, strict=True)]
         assert len(runs[0]) == injections
         assert files[0].read_bytes() == files[1].read_bytes()
-        assert {one.injection.precision for one in runs[0]} == {"exact" if kernel == "pid" else "occurrence"}
+        assert {one.injection.precision for one in runs[0]} == {"exact"}
         for one in runs[0]:
             assert (one.result == "not_injected") == (one.injection.status != "injected")
             if one.injection.status == "injected":
