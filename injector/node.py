@@ -159,15 +159,13 @@ def inject_at(gate: NodeGate, fault: FaultSpec, seed: int, function: str | None)
 
     :raises FlightOverError: if the flight ends meanwhile.
     :raises VanishedError: if the node is gone.
-    :raises LostSiteError: if the instruction that was drawn was missed.
     """
     request = gate.request()
     trigger = fault.trigger if fault.trigger is not None else Trigger()
     trigger = trigger.model_copy(update={"invocation": int(request["invocation"])})
     target = gate.announced[aimed_at(fault)]
     probes = ProbeRuns(gate, target, function or "")
-    is_drawn = trigger.site is None and trigger.cpu_ns is None
-    if is_drawn:
+    if trigger.site is None and trigger.cpu_ns is None:
         try:
             trigger = _drawn(probes, fault, trigger, seed, function)
         except NothingEligibleError as error:
@@ -192,8 +190,6 @@ def inject_at(gate: NodeGate, fault: FaultSpec, seed: int, function: str | None)
         fault.model_copy(update={"trigger": trigger}),
         rng.generator(seed, f"injection {fault.target}", fault.seed),
     )
-    if is_drawn and function is None:
-        check_reached(record)
     return record.model_copy(update={"probes": probes.sent})
 
 
@@ -216,21 +212,6 @@ def _drawn(probes: ProbeRuns, fault: FaultSpec, trigger: Trigger, seed: int, fun
             probes.await_node()
 
 
-def check_reached(record: InjectionRecord) -> None:
-    """Refuse the record of a call that ended without the instruction that a copy of it has executed.
-
-    The node did the same as its copy, so it is we who missed it: the kernel or a hypervisor may lose a
-    breakpoint. The flight is to be flown again.
-
-    :raises LostSiteError: if that is so.
-    """
-    trigger = record.trigger
-    is_exact = trigger is not None and trigger.site is not None
-    if is_exact and record.status in ("not_reached", "diverged"):
-        message = f"a copy of the call executed the drawn instruction, but the call did not: {record.reason}"
-        raise LostSiteError(message)
-
-
 def not_injected(
     gate: NodeGate, fault: FaultSpec, trigger: Trigger, result: InjectionResult
 ) -> InjectionRecord:
@@ -246,10 +227,6 @@ def not_injected(
         invocation=trigger.invocation or 0,
         trigger=trigger,
     )
-
-
-class LostSiteError(Exception):
-    """We missed an instruction that the target executed."""
 
 
 class FlightOverError(Exception):

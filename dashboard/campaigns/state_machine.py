@@ -226,11 +226,11 @@ class CampaignStates:
         return changed
 
     def _after_a_loss(self, run: int, error: str) -> tuple[RunPhase, str]:
-        """The phase of a run that was not flown to its end, and why it failed if it has no attempt left."""
+        """The phase of a run that was not flown to its end, and why: told until it has been flown."""
         state = self._runs[run]
         if state.phase == "running" and state.attempts >= self._attempts:
             return "failed", f"{error}, {state.attempts} times"
-        return "queued", ""
+        return "queued", error if state.phase == "running" else state.error
 
     def _void_leases(self) -> list[int]:
         """Nobody holds anything any more; who was flying has its attempt back."""

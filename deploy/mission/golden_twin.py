@@ -26,7 +26,7 @@ from services.kernels import aimed_at
 from services.models.faults.specification import FaultSpec, Trigger
 from services.models.inter_kernel_states import members
 from services.models.mission import MissionSpec
-from services.models.outcome import GoldenTwin, NodeReport, Outcome
+from services.models.outcome import GoldenTwin, InjectionRecord, NodeReport, Outcome
 from services.runtime import rng
 
 TWINS_KEPT = 16
@@ -58,7 +58,8 @@ class PairFlyer:
         propagated. ``live`` is the socket of who shows flights while they are flown.
 
         :raises NothingToInjectError: if the twin never runs the fault's kernel.
-        :raises DisturbedFlightError: if a process was ended from outside, or dies without a fault.
+        :raises DisturbedFlightError: if a process was ended from outside, or dies without a fault, or if an
+            instruction that was drawn was missed.
         """
         self._live = live
         if spec.fault is None:
@@ -72,9 +73,12 @@ class PairFlyer:
             fault = fault.model_copy(update={"trigger": draw_call(fault, twin.outcome)})
         spec = spec.model_copy(update={"fault": fault})
         if record is None:
-            return compare(self._fly(spec), twin)
-        with McapRecorder(record, spec, about) as recording:
-            return compare(_with_report(self._fly(spec, recording), recording), twin)
+            flown = self._fly(spec)
+        else:
+            with McapRecorder(record, spec, about) as recording:
+                flown = _with_report(self._fly(spec, recording), recording)
+        require_drawn_instruction(spec, flown.outcome.injection)
+        return compare(flown, twin)
 
     def _golden(
         self, spec: MissionSpec, recording: McapRecorder | None = None, *, keep: bool = False
@@ -108,6 +112,25 @@ def _require_no_death(golden: Outcome) -> None:
         if report.causes:
             message = f"{name} died in a flight without a fault: {report.causes[0]}"
             raise DisturbedFlightError(message)
+
+
+def require_drawn_instruction(spec: MissionSpec, record: InjectionRecord | None) -> None:
+    """Refuse a flight whose call ended without the instruction that a copy of the call had executed.
+
+    The node does the same as its copy, so it is we who missed it: the kernel or a hypervisor may lose a
+    breakpoint. Where the specification names the instruction, that is a result: it may not be there. So it is
+    of a program of somebody's own, which need not do the same as its copy.
+
+    :raises DisturbedFlightError: if that is so.
+    """
+    fault = spec.fault
+    if record is None or fault is None or spec.own_stage(aimed_at(fault)) is not None:
+        return
+    was_named = fault.trigger is not None and fault.trigger.site is not None
+    was_drawn = not was_named and record.trigger is not None and record.trigger.site is not None
+    if was_drawn and record.status in ("not_reached", "diverged"):
+        message = f"a copy of the call executed the drawn instruction, but the call did not: {record.reason}"
+        raise DisturbedFlightError(message)
 
 
 def _with_report(flight: FlownMission, recording: McapRecorder) -> FlownMission:

@@ -2,14 +2,42 @@
 
 import pytest
 
+from deploy.errors import DisturbedFlightError
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.mission.golden_twin import PairFlyer, require_drawn_instruction
 from services.kernels import KERNELS
-from services.models.faults.specification import FaultSpec, Trigger
+from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.mission import Limits, MissionSpec
+from services.models.outcome import InjectionRecord
 
 SHORT = Limits(mission_time_s=6.0)
 """Every kernel is called in this time."""
+
+
+EXACT = Trigger(site=Site(precision="exact", module="numba", build_id="ab", offset=523, hit=40))
+ENDED = "the call ended after 1 of 40 passes"
+
+
+def missed(status: str, trigger: Trigger = EXACT) -> InjectionRecord:
+    where = {"node": "perception", "kernel": "pid", "invocation": 3}
+    told = {"status": status, "reason": ENDED, "trigger": trigger}
+    return InjectionRecord.model_validate({**where, **told})
+
+
+@pytest.mark.parametrize("status", ["not_reached", "diverged"])
+def test_a_call_that_ended_without_what_its_copy_executed_is_no_result(status: str) -> None:
+    spec = MissionSpec(fault=FaultSpec(target="pid", trigger=Trigger(invocation=3)))
+    with pytest.raises(DisturbedFlightError, match=ENDED):
+        require_drawn_instruction(spec, missed(status))
+
+
+@pytest.mark.parametrize("trigger", [EXACT, Trigger(invocation=3)])
+def test_where_no_instruction_was_drawn_none_is_missed(trigger: Trigger) -> None:
+    named = MissionSpec(fault=FaultSpec(target="pid", trigger=trigger))
+    require_drawn_instruction(
+        named, missed("not_reached", Trigger(cpu_ns=5) if trigger is not EXACT else EXACT)
+    )
+    require_drawn_instruction(named, missed("injected"))
 
 
 @pytest.fixture(scope="module")

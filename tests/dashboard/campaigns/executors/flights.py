@@ -57,9 +57,19 @@ def told(finished: Finished) -> Told:
 
 
 def flown(executor: Executor, write: Write = unkept) -> tuple[Outcomes, list[int]]:
-    """Every run's outcome, and how often each was begun. Fails if a run ends twice or not at all."""
+    """Every run's outcome, and how often each was begun. Fails if a run ends twice or not at all.
+
+    Prints why runs were flown again.
+    """
+
+    def tell(states: CampaignStates, changed: Sequence[int], outcomes: Mapping[int, Outcome]) -> None:
+        for run in changed:
+            if states.runs[run].phase == "queued" and states.runs[run].error:
+                print(f"run {run}: {states.runs[run].error}")  # noqa: T201 - where a test fails
+        write(states, changed, outcomes)
+
     with closing(executor):
-        scheduler = scheduler_of(executor, write=write)
+        scheduler = scheduler_of(executor, write=tell)
         ended = list(scheduler.fly())
     outcomes = {(one.run.cell, one.run.index): told(one) for one in ended}
     assert len(outcomes) == len(ended) == len(PLANNED)
