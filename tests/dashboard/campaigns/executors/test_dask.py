@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
+import dask.config
 import pytest
 from click.testing import CliRunner
 from distributed import Client, LocalCluster
@@ -133,6 +134,14 @@ def test_dropped_tasks_end_and_those_of_a_scheduler_that_leaves(cluster: str) ->
         until(executor, RunStarted("b", 0))
         wait_until(lambda: bool(nodes()), PATIENCE_S)
     wait_until(lambda: not nodes(), PATIENCE_S / 2)
+
+
+def test_no_worker_is_missed_while_dask_notes_the_cluster_in_another_thread(cluster: str) -> None:
+    often = dask.config.set({"distributed.client.scheduler-info-interval": "1ms"})
+    with often, closing(DaskExecutor(cluster, None, LEASE_S)) as executor:
+        for _ in range(200):
+            executor._look()
+            assert executor.slots == 2
 
 
 def test_a_task_that_dask_begins_again_by_itself_is_lost(cluster: str) -> None:
