@@ -14,7 +14,6 @@ import uuid
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, cast
 
 from distributed import Client, Future, KilledWorker
 
@@ -202,9 +201,12 @@ class DaskExecutor:
     def _look_round(self) -> None:
         """Take note of the workers with slots that Dask has heard of lately."""
         with self._within_reach():
-            # Not Client.scheduler_info: its answer is a dict that the client's own thread replaces at any
-            # time, by one without workers.
-            workers = self._client.sync(cast("Any", self._client.scheduler).identity, n_workers=-1)["workers"]
+            scheduler = self._client.scheduler
+            if scheduler is None:  # the client has given up meanwhile, in its own thread
+                raise ConnectionError("the client has closed")
+            # Not Client.scheduler_info: its answer is a dict that the same thread replaces at any time, by
+            # one without workers.
+            workers = self._client.sync(scheduler.identity, n_workers=-1)["workers"]
         now = self._looked_s = time.monotonic()
         self._hosts = {}
         for name, facts in workers.items():
