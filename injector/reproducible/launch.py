@@ -146,14 +146,15 @@ def begin_again_to_compile(stdin: int = 0) -> None:
 def begin_again_if(compiled: bool, stdin: int = 0) -> None:
     """Start this process again, as it was begun, if numba had to compile what it imported, or Python had.
 
-    What comes out of a cache lies elsewhere in memory than what has just been compiled. That goes once; who
+    What comes out of a cache lies elsewhere in memory than what has just been compiled. That goes once, or
+    for as long as somebody changes our sources meanwhile, so that there is a folder to be filled again. Who
     was started again has the same memory as who was not, so a fork looks which of them this is. Who stays has
     its standard streams from here on. ``stdin`` is where what was its standard input is now.
     """
     if answered_by_a_fork(
         lambda: (
-            not _is_open(_SECOND)
-            and (compiled or compiled_code.is_unfinished() or _wrote_byte_code(os.getppid()))
+            compiled_code.is_unfinished()
+            or (not _is_open(_SECOND) and (compiled or _wrote_byte_code(os.getppid())))
         )
     ):
         if compiled_code.is_unfinished():

@@ -1,6 +1,7 @@
 """Processes that begin with the same memory, whoever starts them and whatever lies about."""
 
 import os
+import shutil
 import subprocess
 import sys
 import time
@@ -54,6 +55,33 @@ def test_the_keys_and_the_addresses_are_those_of_every_other(tmp_path: Path) -> 
     # Here they are others each time, but for where things lie.
     drawn = [subprocess.check_output([sys.executable, "-c", TELLING], text=True).split() for _ in range(2)]
     assert all(one != other for one, other, key in zip(*drawn, keys, strict=True) if not key.startswith("0x"))
+
+
+COMPILING = """
+import os, sys
+from pathlib import Path
+from injector.reproducible import compiled_code, launch
+starts = Path(sys.argv[1])
+with starts.open("a") as file:
+    file.write("x")
+if starts.stat().st_size < 3:
+    os.utime(Path(sys.argv[2]))
+launch.begin_again_to_compile()
+launch.begin_again_if(False)
+print(compiled_code.is_unfinished(), starts.stat().st_size)
+"""
+
+
+def test_who_compiles_lets_others_go_on_though_sources_are_changed_meanwhile(tmp_path: Path) -> None:
+    """It held the lock as long as it lived, and every other process waited."""
+    for ours in ("injector", "services"):
+        shutil.copytree(ROOT / ours, tmp_path / ours, ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "compiling.py").write_text(COMPILING)
+    given = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    surroundings = launch.environment(given, "test") | {"PYTHONPATH": str(tmp_path)}
+    command = launch.command("compiling", str(tmp_path / "starts"), str(tmp_path / "services" / "kernels.py"))
+    ended = subprocess.check_output(command, env=surroundings, cwd=tmp_path, text=True)
+    assert ended == "False 4\n"
 
 
 def test_a_file_beside_our_packages_changes_nothing(tmp_path: Path) -> None:
