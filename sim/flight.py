@@ -14,7 +14,7 @@ from sim.mission.area import corners
 from sim.mission.objective import objective
 from sim.mission.qof import FlightMeter
 from sim.mission.referee import judge
-from sim.mission.true_path import append
+from sim.mission.true_path import PathWriter
 from sim.sensors.imu import ImuSamples, InertialUnit
 from sim.sensors.odometry import Drift
 from sim.vehicle.airframe import airframe
@@ -34,7 +34,7 @@ class SimulatedFlight:
     """
 
     def __init__(self, spec: MissionSpec, true_path: Path | None = None) -> None:
-        self._true_path = true_path
+        self._true_path = PathWriter(true_path) if true_path is not None else None
         frame = airframe(spec.airframe)
         self.world = make_world(spec.world, spec.seed)
         self.motor_fault = None
@@ -43,7 +43,8 @@ class SimulatedFlight:
         self.vehicle = Vehicle(self.world, frame, Air(spec.wind, spec.seed, STEP_S), self.motor_fault)
         self.drift = Drift(spec.odometry, spec.seed, TICK_NS / 1e9)
         self._imu = InertialUnit(spec.imu, spec.seed)
-        self._felt: list[ImuSamples] = []
+        self.felt: ImuSamples | None = None
+        """The IMU's samples of the last tick; None before the first."""
         self.area = None if spec.mission == "navigation" else corners(spec.area, self.world)
         self._objective = objective(spec, self.world, self.area)
         self._time_limit_s = spec.limits.mission_time_s
@@ -55,32 +56,33 @@ class SimulatedFlight:
 
         Each command (ready_ns, (4,)) holds from the next physics step on.
         """
-        self._felt = []
+        tracks = []
         steps_left = TICK_NS // STEP_NS
         for ready_ns, command in commands:
             passed = TICK_NS // STEP_NS - steps_left
             steps = min(max(-((tick_ns - ready_ns) // STEP_NS) - passed, 0), steps_left)
-            self._fly(steps)
+            tracks += self._fly(steps)
             steps_left -= steps
             self._command = command
-        self._fly(steps_left)
+        tracks += self._fly(steps_left)
+        self.felt = self._measured(tracks)
         self.drift.advance()
         self._objective.observe(self.vehicle)
 
-    def _fly(self, steps: int) -> None:
-        if steps and not self.vehicle.contact:
-            track = self.vehicle.advance(self._command, steps)
-            near = self._meter.add(track)
-            if self._true_path is not None:
-                append(self._true_path, track, near)
-            self._felt.append(self._imu.sample(track))
+    def _fly(self, steps: int) -> list[Floats]:
+        """The track of so many steps; none of none, nor after a contact."""
+        return [self.vehicle.advance(self._command, steps)] if steps and not self.vehicle.contact else []
 
-    @property
-    def felt(self) -> ImuSamples | None:
-        """The IMU samples of the last tick; None before the first."""
-        if not self._felt:
+    def _measured(self, tracks: Sequence[Floats]) -> ImuSamples | None:
+        """Take up the stretches of a tick; what the IMU measured on them."""
+        if not tracks:
             return None
-        return ImuSamples(*(np.concatenate(parts) for parts in zip(*self._felt, strict=True)))
+        # The first row of each is the last one of that before.
+        track = np.concatenate([tracks[0], *(one[1:] for one in tracks[1:])])
+        near = self._meter.add(track)
+        if self._true_path is not None:
+            self._true_path.append(track, near)
+        return self._imu.sample(track)
 
     def judge(self, *, no_path: bool) -> MissionResult | None:
         """The mission's result so far."""

@@ -27,15 +27,20 @@ class TruePath:
     clearance: Floats
 
 
-def append(file: Path, track: Floats, near: Floats) -> None:
-    """Write the next stretch of a flight: a track (n, 14) and its clearances (n,).
+class PathWriter:
+    """Writes a flight's true path to a file, which stays open until the process ends."""
 
-    The first row of a track is the last one of the stretch before, so only the first stretch has it written.
-    Each stretch is in the file when this returns: the simulator may be ended at any time.
-    """
-    rows = np.column_stack([track[:, :4], np.linalg.norm(track[:, 4:7], axis=1), near])
-    with file.open("ab") as stream:
-        stream.write(rows[0 if track[0, 0] == 0.0 else 1 :].tobytes())
+    def __init__(self, file: Path) -> None:
+        self._file = file.open("ab", buffering=0)
+
+    def append(self, track: Floats, near: Floats) -> None:
+        """Write the next stretch of a flight: a track (n, 14) and its clearances (n,).
+
+        The first row of a track is the last one of the stretch before, so only the first stretch has it
+        written. Each stretch is in the file when this returns: the simulator may be ended at any time.
+        """
+        rows = np.column_stack([track[:, :4], np.linalg.norm(track[:, 4:7], axis=1), near])
+        self._file.write(rows[0 if track[0, 0] == 0.0 else 1 :].tobytes())
 
 
 def read(file: Path, end_ns: int) -> TruePath:
