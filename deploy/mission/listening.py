@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -16,6 +17,10 @@ from services.bus import session
 from services.bus.messages import Alarm, Injection, MalformedMessageError, decode, encode
 from services.bus.topics import RECORDED, STAGES, TOPICS
 from services.models.outcome import InjectionRecord, repeatable, with_strike
+
+GATHER_S = 0.005
+"""Wall time for which messages are gathered, so that many are handled in one wake-up: nobody waits for that.
+A question, for whose answer a node waits, is handled at once."""
 
 
 class MissionBus:
@@ -35,6 +40,7 @@ class MissionBus:
         self._order = order
         self._recurs = recurs
         self._events: queue.SimpleQueue[tuple[Callable[[Any], None], Any]] = queue.SimpleQueue()
+        self._asked = threading.Event()
         self._declared: list[Any] = []
         for topic in RECORDED:
             self._subscribe(bus, session.topic_key(topic.name), self._recording(topic.name))
@@ -53,6 +59,8 @@ class MissionBus:
             handle, arrived = self._events.get(timeout=timeout_s)
         except queue.Empty:
             return False
+        self._asked.wait(GATHER_S)
+        self._asked.clear()
         handle(arrived)
         while not self._events.empty():
             handle, arrived = self._events.get()
@@ -82,14 +90,20 @@ class MissionBus:
         self._declared.append(bus.declare_subscriber(key, queued))
 
     def _answer(self, bus: zenoh.Session, key: str, handle: Callable[[Any], None]) -> None:
-        queued = session.hand_over(lambda query: self._events.put((handle, query)))
-        self._declared.append(bus.declare_queryable(key, queued))
+        def queue_question(query: zenoh.Query) -> None:
+            self._events.put((handle, query))
+            self._asked.set()
+
+        self._declared.append(bus.declare_queryable(key, session.hand_over(queue_question)))
 
     def _recording(self, topic: str) -> Callable[[Any], None]:
         def handle(sample: zenoh.Sample) -> None:
             self.last_message_s = time.monotonic()
             try:
-                self.recorder.record(topic, session.stamped(sample))
+                message, promise = session.stamped(sample)
+                self.recorder.record(topic, message)
+                if promise:
+                    self.recorder.hear(TOPICS[topic].publisher, promise)
             except MalformedMessageError:
                 self.recorder.malformed += 1
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from deploy.mission.listening import MissionBus
 from deploy.mission.supervisor import SupervisedNode
 from deploy.recording.recorder import FlightRecorder, FlightTrace
-from services.bus.horizon import NEVER_NS
+from services.bus.horizon import NEVER_NS, Stamped
 from services.bus.messages import decode
 from services.bus.topics import RECORDED, STAGES, TOPICS
 from services.kernels import aimed_at, scope_of
@@ -34,12 +34,15 @@ class MissionEnd:
     reason: str = ""
     qof: QoF = NO_FLIGHT
     time_ns: int = NEVER_NS
+    seen: Stamped | None = None
+    """The referee's newest message that has been looked at."""
 
     def look(self, recorder: FlightRecorder) -> None:
         """Take the result from the newest message of the referee, if it has decided."""
         last = recorder.last("mission")
-        if last is None or self.result is not None:
+        if last is self.seen or last is None or self.result is not None:
             return
+        self.seen = last
         message = decode(last.payload, TOPICS["mission"].type)
         self.qof = QoF.model_validate_json(message.qof)
         if message.result != "flying":

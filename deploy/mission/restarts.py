@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import time
 
-import numpy as np
-
 from deploy.errors import InfrastructureError
 from deploy.mission.fork_protocol import EXIT_BUG
 from deploy.mission.listening import MissionBus
 from deploy.mission.outcome import MissionEnd
 from deploy.mission.setups import NodeSetups
 from deploy.mission.supervisor import SupervisedNode, Supervisor
-from services.bus.horizon import NEVER_NS
-from services.bus.messages import Horizon, encode
-from services.bus.topics import HORIZON_TYPE
+from services.bus.horizon import NEVER_NS, Promise
 from services.models.detection import DETECTOR
 from services.models.mission import MissionSpec
 from services.runtime.bus_proxy import LIFE_SHIFT
@@ -109,12 +105,12 @@ class RestartPolicy:
 
     def _promise_for(self, stage: str, life: int, start_ns: int) -> None:
         counts = list(self._recorder.published(stage).values())
-        message = Horizon(
+        promise = Promise(
             serial=life << LIFE_SHIFT,
             # Older triggers are done with: the new process will not know them. Later ones await it.
             accepted_ns=start_ns - 1,
             busy_until_ns=start_ns,
-            until_ns=np.full(len(counts), start_ns, dtype=np.int64),
-            count=np.array(counts, dtype=np.uint64),
+            until_ns=(start_ns,) * len(counts),
+            published=tuple(counts),
         )
-        self._bus.promise(stage, encode(message, HORIZON_TYPE))
+        self._bus.promise(stage, promise.packed())

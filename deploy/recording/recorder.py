@@ -103,7 +103,9 @@ class FlightRecorder:
         if message.serial > self._serials[stage]:
             self._serials[stage] = int(message.serial)
             self._horizons[stage] = payload
-        for topic, count, until_ns in zip(published_by(stage), message.count, message.until_ns, strict=True):
+        for topic, count, until_ns in zip(
+            published_by(stage), message.published, message.until_ns, strict=True
+        ):
             self._channels[topic.name].promise(int(count), int(until_ns))
 
     def since(self, topic: str, seq: int) -> list[Stamped]:

@@ -11,8 +11,11 @@ by virtual time.
 
 from __future__ import annotations
 
+import functools
+import struct
 from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple, Protocol, Self
 
 NEVER_NS = 2**62
 """Later than everything: the horizon of a topic on which no message follows."""
@@ -25,6 +28,45 @@ class Stamped:
     seq: int
     ready_ns: int
     payload: bytes
+
+
+class Promise(NamedTuple):
+    """What a stage says of its own future silence: thousands in a flight, so they have no ROS type.
+
+    ``published`` messages of each of its topics are out, and none that follows is ready before
+    ``until_ns``, in the order of the table. ``accepted_ns`` is the newest trigger that it has dealt with,
+    ``busy_until_ns`` the time before which it takes up no other. Of two promises the one with the higher
+    ``serial`` is the newer; its upper half counts the starts of the node.
+    """
+
+    serial: int
+    accepted_ns: int
+    busy_until_ns: int
+    until_ns: tuple[int, ...]
+    published: tuple[int, ...]
+
+    def packed(self) -> bytes:
+        """The promise as the bytes that are sent."""
+        numbers = (self.serial, self.accepted_ns, self.busy_until_ns, *self.until_ns, *self.published)
+        return _promise_of(len(self.published)).pack(*numbers)
+
+    @classmethod
+    def unpacked(cls, raw: bytes, topics: int) -> Self:
+        """The promise on so many topics in such bytes.
+
+        :raises ValueError: if they are too few or too many.
+        """
+        form = _promise_of(topics)
+        if len(raw) != form.size:
+            message = f"a promise on {topics} topics has {form.size} bytes, not {len(raw)}"
+            raise ValueError(message)
+        serial, accepted_ns, busy_until_ns, *rest = form.unpack(raw)
+        return cls(serial, accepted_ns, busy_until_ns, tuple(rest[:topics]), tuple(rest[topics:]))
+
+
+@functools.cache
+def _promise_of(topics: int) -> struct.Struct:
+    return struct.Struct(f"<{3 + 2 * topics}q")
 
 
 class Channel:
@@ -87,7 +129,19 @@ class Channel:
         return taken
 
 
-def next_activation(trigger: Channel, busy_until_ns: int) -> int | None:
+class TriggeringInput(Protocol):
+    """What a stage is triggered by: the oldest message not taken, and until when no other can come."""
+
+    @property
+    def head(self) -> Stamped | None:
+        """The oldest message not yet taken."""
+
+    @property
+    def horizon_ns(self) -> int:
+        """No message that is not yet here is ready before this time."""
+
+
+def next_activation(trigger: TriggeringInput, busy_until_ns: int) -> int | None:
     """When a stage that is busy until then takes up its next trigger; None while that is open.
 
     A free stage starts at the first trigger. One that was busy starts as soon as it is free with the

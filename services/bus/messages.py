@@ -33,7 +33,6 @@ __all__ = [
     "CollisionCheck",
     "Goal",
     "Header",
-    "Horizon",
     "Image",
     "ImuBatch",
     "Injection",
@@ -63,17 +62,6 @@ __all__ = [
 ]
 
 MESSAGES = {
-    # A stage's promise: `count` messages of each of its topics have been published, and none that
-    # follows is ready before `until_ns`. `accepted_ns` is the newest trigger it has dealt with,
-    # `busy_until_ns` the time before which it takes up no other. Of two promises the one with the
-    # higher `serial` is the newer; its upper half counts the starts of the node.
-    "zenfi_msgs/msg/Horizon": """
-        uint64 serial
-        int64 accepted_ns
-        int64 busy_until_ns
-        int64[] until_ns
-        uint64[] count
-    """,
     # What the IMU measured since the batch before, sample by sample x y z: rad/s and m/s^2 in the body
     # frame. At 190 Hz a message for each sample would cost a flight more than its physics.
     "zenfi_msgs/msg/ImuBatch": """
@@ -144,7 +132,6 @@ for _name, _text in MESSAGES.items():
     TYPESTORE.register(get_types_from_msg("\n".join(map(str.strip, _text.splitlines())), _name))
 
 Goal = TYPESTORE.types["zenfi_msgs/msg/Goal"]
-Horizon = TYPESTORE.types["zenfi_msgs/msg/Horizon"]
 ImuBatch = TYPESTORE.types["zenfi_msgs/msg/ImuBatch"]
 Injection = TYPESTORE.types["zenfi_msgs/msg/Injection"]
 Mission = TYPESTORE.types["zenfi_msgs/msg/Mission"]

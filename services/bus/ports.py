@@ -9,21 +9,22 @@ from typing import Any
 import zenoh
 
 from services.bus import session
-from services.bus.horizon import Channel, Stamped
+from services.bus.horizon import Channel, Promise, Stamped
 from services.bus.message_checks import Checks
 from services.bus.messages import MalformedMessageError, decode
-from services.bus.topics import HORIZON_TYPE, Topic, published_by
+from services.bus.topics import Topic, published_by
 
 
-def promise_of(stage: str, payload: bytes) -> Any:
+def promise_of(stage: str, payload: bytes) -> Promise:
     """Parse a message that holds the promise of a stage.
 
     :raises MalformedMessageError: if it does not speak of the stage's topics.
     """
-    message = decode(payload, HORIZON_TYPE)
-    if not len(message.count) == len(message.until_ns) == len(published_by(stage)):
-        raise MalformedMessageError(f"{stage}: a promise on {len(message.count)} topics")
-    return message
+    try:
+        return Promise.unpacked(payload, len(published_by(stage)))
+    except ValueError as error:
+        message = f"{stage}: {error}"
+        raise MalformedMessageError(message) from error
 
 
 RECENT = 64
@@ -124,7 +125,7 @@ class Outlet:
             on, session.topic_key(topic.name), zenoh.Encoding.APPLICATION_CDR
         )
 
-    def put(self, payload: bytes, ready_ns: int) -> None:
-        """Publish a message as ready at ``ready_ns``."""
-        self._publisher.put(payload, attachment=session.attach(self.published, ready_ns, self._gid))
+    def put(self, payload: bytes, ready_ns: int, promise: bytes = b"") -> None:
+        """Publish a message as ready at ``ready_ns``; it carries the ``promise`` that follows it."""
+        self._publisher.put(payload, attachment=session.attach(self.published, ready_ns, self._gid, promise))
         self.published += 1

@@ -32,6 +32,14 @@ class Attachment(NamedTuple):
         return _ATTACHMENT.pack(self.seq, self.source_ns, len(self.gid), self.gid)
 
     @classmethod
+    def split(cls, raw: bytes) -> tuple[Attachment, bytes]:
+        """The attachment in such bytes, and what follows it.
+
+        :raises ValueError: if they are too few.
+        """
+        return cls.unpacked(raw[: _ATTACHMENT.size]), raw[_ATTACHMENT.size :]
+
+    @classmethod
     def unpacked(cls, raw: bytes) -> Attachment:
         """The attachment in such bytes.
 

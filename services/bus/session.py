@@ -146,21 +146,26 @@ def publisher_gid(node: str, topic: str) -> bytes:
     return hashlib.blake2b(f"{node}/{topic}".encode(), digest_size=GID_BYTES).digest()
 
 
-def attach(seq: int, ready_ns: int, gid: bytes) -> bytes:
-    """rmw_zenoh's attachment: sequence number, source timestamp (virtual time), publisher."""
-    return Attachment(seq, ready_ns, gid).packed()
+def attach(seq: int, ready_ns: int, gid: bytes, promise: bytes = b"") -> bytes:
+    """rmw_zenoh's attachment: sequence number, source timestamp (virtual time), publisher.
+
+    After it there may be its publisher's ``promise``.
+    """
+    return Attachment(seq, ready_ns, gid).packed() + promise
 
 
-def stamped(sample: zenoh.Sample) -> Stamped:
-    """The message in a Zenoh sample, with its sequence number and stamp.
+def stamped(sample: zenoh.Sample) -> tuple[Stamped, bytes]:
+    """The message in a Zenoh sample, with its sequence number and stamp, and the promise that it carries.
+
+    That is empty if it carries none.
 
     :raises MalformedMessageError: if the attachment is missing or not of rmw_zenoh's form.
     """
     attachment = sample.attachment
     raw = attachment.to_bytes() if attachment is not None else b""
     try:
-        seq, ready_ns, _ = Attachment.unpacked(raw)
+        (seq, ready_ns, _), promise = Attachment.split(raw)
     except ValueError as error:
         message = f"{sample.key_expr}: {error}"
         raise MalformedMessageError(message) from error
-    return Stamped(seq, ready_ns, sample.payload.to_bytes())
+    return Stamped(seq, ready_ns, sample.payload.to_bytes()), promise

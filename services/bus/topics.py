@@ -7,6 +7,7 @@ published strictly earlier. That rule is what makes a loop of zero-latency stage
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -99,10 +100,13 @@ MADE_FROM: Mapping[str, tuple[str, ...]] = MappingProxyType(
 )
 """What each recorded topic is made from: the ways by which an error passes on."""
 
-HORIZON_TYPE = "zenfi_msgs/msg/Horizon"
-"""What every stage says of its own future silence (``services/bus/horizon.py``); never recorded."""
+
+CARRIERS: Mapping[str, str] = MappingProxyType({"sim": "odometry", "control": "command"})
+"""The topics whose messages carry the promise that their publisher makes after them, so that it need not be
+sent on its own: those with a message in (nearly) every step."""
 
 
+@functools.cache
 def published_by(stage: str) -> tuple[Topic, ...]:
     """The topics of one stage, in the order of the table."""
     return tuple(topic for topic in _TABLE if topic.publisher == stage)

@@ -15,7 +15,7 @@ from zenoh.handlers import Callback
 from services.bus import announce, session
 from services.bus.messages import MalformedMessageError
 from services.bus.ports import Inlet, promise_of
-from services.bus.topics import published_by
+from services.bus.topics import CARRIERS, published_by
 
 PATIENCE_S = 0.05
 """Wall time without any message after which a waiting proxy asks the recorder for what it missed."""
@@ -58,6 +58,9 @@ class BusListener:
         """Take in the promises of a stage."""
         self.promises[stage] = None
         self._subscribe(session.horizon_key(stage), f"horizon/{stage}")
+        carrier = CARRIERS.get(stage)
+        if carrier is not None and carrier not in self.inlets:
+            self._subscribe(session.topic_key(carrier), f"carrier/{stage}")
 
     def announce(self, key: str, expected: set[str]) -> None:
         """Announce the node, and wait until all ``expected`` nodes are announced."""
@@ -135,6 +138,8 @@ class BusListener:
         kind, _, stage = label.partition("/")
         if kind == "horizon":
             self._take_promise(stage, arrived.payload.to_bytes())
+        elif kind == "carrier":
+            self._take_carried(stage, arrived)
         elif kind == "child":
             if os.waitid(os.P_PID, self._node_pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None:
                 raise NodeGoneError
@@ -152,7 +157,10 @@ class BusListener:
         channel, page = inlet.channel, self._page
         doubled = channel.duplicates
         try:
-            channel.receive(session.stamped(sample))
+            message, promise = session.stamped(sample)
+            channel.receive(message)
+            if promise:
+                self._take_promise(inlet.topic.publisher, promise)
         except MalformedMessageError:
             page["unreadable"] += 1
         if channel.duplicates == doubled:
@@ -163,6 +171,16 @@ class BusListener:
         else:
             page["doubled"] += 1
 
+    def _take_carried(self, stage: str, sample: zenoh.Sample) -> None:
+        """Take the promise that a message carries which the node has no use for."""
+        try:
+            _, promise = session.stamped(sample)
+        except MalformedMessageError:
+            self._page["unreadable"] += 1
+            return
+        if promise:
+            self._take_promise(stage, promise)
+
     def _take_promise(self, stage: str, payload: bytes) -> None:
         try:
             message = promise_of(stage, payload)
@@ -172,16 +190,17 @@ class BusListener:
         newest = self.promises[stage]
         if newest is None or message.serial > newest.serial:
             self.promises[stage] = message
-        for topic, count, until_ns in zip(published_by(stage), message.count, message.until_ns, strict=True):
+        of_topics = zip(published_by(stage), message.published, message.until_ns, strict=True)
+        for topic, published, until_ns in of_topics:
             if topic.name in self.inlets:
-                self.inlets[topic.name].channel.promise(int(count), int(until_ns))
+                self.inlets[topic.name].channel.promise(published, until_ns)
 
     def _recover(self) -> None:
         """Fetch from the recorder what was published before our subscription was known."""
         for name, inlet in self.inlets.items():
             known = inlet.channel.next_seq
             for sample in self.history(name, str(known)):
-                inlet.channel.receive(session.stamped(sample))
+                inlet.channel.receive(session.stamped(sample)[0])
             self._page["recovered"] += inlet.channel.next_seq - known
         for stage in self.promises:
             for sample in self.history(f"horizon/{stage}"):

@@ -11,14 +11,11 @@ import json
 import time
 from collections.abc import Container, Iterable, Sequence
 
-import numpy as np
-
 from services.bus import announce, proxy_link, session
-from services.bus.horizon import NEVER_NS, Stamped, earliest_activation, next_activation
-from services.bus.messages import Horizon, decode, encode
-from services.bus.ports import Inlet, Outlet
+from services.bus.horizon import NEVER_NS, Promise, Stamped, earliest_activation, next_activation
+from services.bus.ports import Inlet, Outlet, promise_of
 from services.bus.proxy_link import Frame, ProxyLink
-from services.bus.topics import HORIZON_TYPE, STAGES, TOPICS, published_by
+from services.bus.topics import CARRIERS, STAGES, TOPICS, published_by
 from services.runtime.bus_listener import BusListener, NodeGoneError
 from services.runtime.latency import Latency
 from services.runtime.setup import NodeSetup
@@ -56,10 +53,11 @@ class BusProxy:
         self._accepted_ns = self._handed_ns = setup.start_ns - 1
         self._serial = setup.life << LIFE_SHIFT
         self._promised: tuple[int, ...] = ()
+        self._carrier = CARRIERS.get(self.name, "")
+        self._held: tuple[bytes, int] | None = None
         self.session = session.open_session(address, self.name)
         self._listener = BusListener(self.session, node_pid, stats.page)
-        topics = published_by(self.name)
-        self._rank = topics[0].rank
+        self._rank = published_by(self.name)[0].rank
         self._outlets = {
             topic.name: Outlet(
                 self.session,
@@ -68,7 +66,7 @@ class BusProxy:
                 self._lookahead_ns(setup.spec.kernels_before(topic)),
                 setup.published.get(topic.name, 0),
             )
-            for topic in topics
+            for topic in published_by(self.name)
         }
         self._horizon = session.declare_publisher(self.session, session.horizon_key(self.name))
         self._injections = session.declare_publisher(self.session, session.topic_key("injection"))
@@ -99,11 +97,13 @@ class BusProxy:
     def _do(self, frame: Frame) -> None:
         kind, place, first, second, payload = frame
         listener = self._listener
+        if kind not in (proxy_link.PUT, proxy_link.PROMISE, proxy_link.NEXT):
+            self._send_held()
         if kind == proxy_link.PUT:
             self._put(self._known(_TOPICS, place, (*self._outlets, "injection")), payload, first)
         elif kind == proxy_link.PROMISE:
             self.promise(first, second)
-        elif kind == proxy_link.NEXT:
+        elif kind == proxy_link.NEXT:  # which makes a promise first
             self._next(self._known(tuple(listener.inlets), place, listener.inlets), first)
         elif kind == proxy_link.ADVANCE:
             self._advance(first)
@@ -171,27 +171,37 @@ class BusProxy:
             # Others may have gone on already, sooner or later as the machine goes: it would not repeat.
             message = f"{self.name} has {topic} at {ready_ns} ns, and promised none before {promised}"
             raise proxy_link.NonsenseError(message)
-        self._outlets[topic].put(payload, ready_ns)
+        if topic == self._carrier:
+            self._send_held()
+            self._held = payload, ready_ns
+        else:
+            self._outlets[topic].put(payload, ready_ns)
+
+    def _send_held(self, promise: bytes = b"") -> bool:
+        """Send the message that has waited for a promise to carry; False if there is none."""
+        if self._held is None:
+            return False
+        held, self._held = self._held, None
+        self._outlets[self._carrier].put(*held, promise)
+        return True
 
     def promise(self, base_ns: int, busy_until_ns: int) -> None:
         """Publish a promise: this node is not triggered again before ``base_ns``."""
         until = [min(base_ns + outlet.lookahead_ns, NEVER_NS) for outlet in self._outlets.values()]
-        promised = (self._accepted_ns, busy_until_ns, *until)
-        if promised != self._promised:
-            self._promised = promised
+        before, self._promised = self._promised, (self._accepted_ns, busy_until_ns, *until)
+        if self._promised != before:
             self._send_promise()
+        else:
+            self._send_held()
 
     def _send_promise(self) -> None:
         accepted_ns, busy_until_ns, *until = self._promised
         self._serial += 1
-        message = Horizon(
-            serial=self._serial,
-            accepted_ns=accepted_ns,
-            busy_until_ns=busy_until_ns,
-            until_ns=np.array(until, dtype=np.int64),
-            count=np.array([outlet.published for outlet in self._outlets.values()], dtype=np.uint64),
-        )
-        self._horizon.put(encode(message, HORIZON_TYPE))
+        held = self._carrier if self._held is not None else ""
+        count = tuple(outlet.published + (name == held) for name, outlet in self._outlets.items())
+        promise = Promise(self._serial, accepted_ns, busy_until_ns, tuple(until), count).packed()
+        if not self._send_held(promise):
+            self._horizon.put(promise)
 
     # -- what the node may see ---------------------------------------------------------------------
 
@@ -267,7 +277,7 @@ class BusProxy:
         self._send_promise()
         deadline = time.monotonic() + FLUSH_S
         while not any(
-            decode(sample.payload.to_bytes(), HORIZON_TYPE).serial >= self._serial
+            promise_of(self.name, sample.payload.to_bytes()).serial >= self._serial
             for sample in self._listener.history(f"horizon/{self.name}")
         ):
             if time.monotonic() > deadline:

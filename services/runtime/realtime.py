@@ -50,6 +50,7 @@ class RealtimeBusProxy(BusProxy):
     ) -> None:
         super().__init__(setup, address, node, node_pid, stats)
         self._clock = clock
+        self._carrier = ""  # no promise follows a message
         self._owns_clock = published_by(self.name)[0].trigger is None
 
     def _ready(self, inputs: list[str], watched: list[str], program: int | None = None) -> None:

@@ -2,27 +2,18 @@
 
 import random
 
-import numpy as np
-
 from deploy.recording.ordering import HELD_NS, MessageOrder, SentMessage
 from deploy.recording.recorder import FlightRecorder
-from services.bus.horizon import NEVER_NS, Stamped
-from services.bus.messages import Horizon, encode
-from services.bus.topics import HORIZON_TYPE, STAGES, TICK_NS, published_by
+from services.bus.horizon import NEVER_NS, Promise, Stamped
+from services.bus.topics import STAGES, TICK_NS, published_by
 
 TICKS = 300
 
 
 def hear(recorder: FlightRecorder, stage: str, serial: int, counts: dict[str, int], until_ns: int) -> None:
     topics = published_by(stage)
-    message = Horizon(
-        serial=serial,
-        accepted_ns=0,
-        busy_until_ns=0,
-        until_ns=np.full(len(topics), until_ns, dtype=np.int64),
-        count=np.array([counts.get(topic.name, 0) for topic in topics], dtype=np.uint64),
-    )
-    recorder.hear(stage, encode(message, HORIZON_TYPE))
+    count = tuple(counts.get(topic.name, 0) for topic in topics)
+    recorder.hear(stage, Promise(serial, 0, 0, (until_ns,) * len(topics), count).packed())
 
 
 def flight(

@@ -1,22 +1,12 @@
 """The recorder tells a flight by its messages, in whatever order they arrived."""
 
-import numpy as np
-
 from deploy.recording.recorder import Divergence, FlightRecorder, FlightTrace
-from services.bus.horizon import NEVER_NS, Stamped
-from services.bus.messages import Horizon, encode
-from services.bus.topics import HORIZON_TYPE, RECORDED, STAGES, published_by
+from services.bus.horizon import NEVER_NS, Promise, Stamped
+from services.bus.topics import RECORDED, STAGES, published_by
 
 
 def promise(serial: int, counts: list[int], until_ns: int) -> bytes:
-    message = Horizon(
-        serial=serial,
-        accepted_ns=0,
-        busy_until_ns=0,
-        until_ns=np.full(len(counts), until_ns, dtype=np.int64),
-        count=np.array(counts, dtype=np.uint64),
-    )
-    return encode(message, HORIZON_TYPE)
+    return Promise(serial, 0, 0, (until_ns,) * len(counts), tuple(counts)).packed()
 
 
 def flight(order: list[int], payload_of_2: bytes = b"c") -> FlightRecorder:

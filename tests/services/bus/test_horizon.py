@@ -1,9 +1,17 @@
 """Messages come out by virtual time, however the bus delivers them."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.bus.horizon import NEVER_NS, Channel, Stamped, earliest_activation, next_activation
+from services.bus.horizon import (
+    NEVER_NS,
+    Channel,
+    Promise,
+    Stamped,
+    earliest_activation,
+    next_activation,
+)
 
 
 def message(seq: int, ready_ns: int) -> Stamped:
@@ -96,3 +104,15 @@ def test_a_message_that_comes_twice_before_its_turn_is_counted() -> None:
     channel.receive(message(1, 20))
     channel.receive(message(1, 20))
     assert channel.duplicates == 1
+
+
+def test_a_promise_is_what_was_packed() -> None:
+    promise = Promise((3 << 32) + 7, 40, 80, (NEVER_NS, 120), (5, 0))
+    assert Promise.unpacked(promise.packed(), 2) == promise
+
+
+@pytest.mark.parametrize("topics", [0, 1, 3])
+def test_a_promise_on_other_topics_is_refused(topics: int) -> None:
+    promise = Promise(1, 40, 80, (NEVER_NS, 120), (5, 0))
+    with pytest.raises(ValueError, match=f"on {topics} topics"):
+        Promise.unpacked(promise.packed(), topics)

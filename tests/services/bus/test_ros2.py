@@ -52,6 +52,7 @@ def test_the_attachment_of_the_design_document() -> None:
     parts = (zenoh.ext.Int64(1), zenoh.ext.Int64(1_700_000_000_000_000_000), gid)
     assert packed == b"".join(zenoh.ext.z_serialize(part).to_bytes() for part in parts)
     assert Attachment.unpacked(packed) == (1, 1_700_000_000_000_000_000, gid)
+    assert Attachment.split(packed + b"more") == (Attachment.unpacked(packed), b"more")
 
 
 @pytest.mark.parametrize("raw", [b"", bytes(16), bytes(34)])
