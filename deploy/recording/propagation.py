@@ -15,7 +15,6 @@ from services.bus.arrays import POINT_FIELDS, Floats, xyz
 from services.bus.fields import flat, same
 from services.bus.horizon import Stamped
 from services.bus.messages import MalformedMessageError, decode
-from services.bus.octomaps import known
 from services.bus.topics import MADE_FROM, RECORDED, TICK_NS, TOPICS, Topic
 from services.models.inter_kernel_states import STATES
 from services.models.outcome import InjectionRecord
@@ -162,6 +161,8 @@ def _read(topic: str, message: Stamped) -> Any:
 def _voxels(one: Any, other: Any, goal: Any) -> float:
     """Voxels of the space that may be flown in of which the maps do not say the same."""
     low, high = xyz(goal.lower), xyz(goal.upper)
+    from services.bus.octomaps import known  # noqa: PLC0415 - loads numba
+
     maps = [known(message.data.tobytes(), other.resolution, low, high) for message in (one, other)]
     return float(np.count_nonzero(maps[0] != maps[1]))
 
