@@ -14,7 +14,7 @@ from deploy.mission.judgement import judge_properties
 from deploy.mission.listening import MissionBus
 from deploy.mission.outcome import MissionEnd, mission_outcome
 from deploy.mission.restarts import POLL_S, RestartPolicy
-from deploy.mission.setups import NodeSetups
+from deploy.mission.setups import NodeSetups, armed_call
 from deploy.mission.supervisor import Supervisor
 from deploy.recording.mcap_recorder import MessageTap
 from deploy.recording.ordering import MessageOrder, SentMessage
@@ -90,7 +90,9 @@ def fly(
             listening = MissionBus(bus, recorder, order, recurs=recurs)
             fault = spec.fault
             traced = aimed_at(fault) if fault is not None and fault.recurs_in_instructions else ""
-            supervisor = Supervisor(server, address, spec.limits.hang_cpu_s, traced=traced)
+            supervisor = Supervisor(
+                server, address, spec.limits.hang_cpu_s, traced=traced, armed=armed_call(fault)
+            )
             try:
                 true_path = folder / "true_path.f64"
                 mission = _Mission(

@@ -9,7 +9,7 @@ from deploy.config.platform import check_latency, load_platform
 from deploy.config.processes import ProcessDeclaration
 from services.kernels import KERNELS
 from services.models.detection import DETECTOR
-from services.models.faults.specification import Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import MissionSpec
 from services.models.oracles.harm import HarmSpec
 from services.models.platform import KernelLatency
@@ -19,18 +19,25 @@ SIMULATOR = "sim"
 
 
 def spec_for_stages(spec: MissionSpec) -> MissionSpec:
-    """The specification with no more of the injection point than the call that is struck, and no oracles.
+    """The specification with no more of a fault in one instruction than its kernel, and no oracles.
 
-    A replay knows the instruction, too, but its nodes must begin with the same memory as the first time.
-    Nor does it matter to a node what its flight is judged by.
+    All else of such a fault is the injector's business, and which call is struck stands in the page that a
+    node shares with us (:class:`~services.system.shared_stats.SharedStats`). So nodes have the same memory
+    up to the call, whatever strikes there. Nor does it matter to a node what its flight is judged by.
     """
     spec = spec.model_copy(update={"properties": (), "harm": HarmSpec()})
     fault = spec.fault
-    if fault is None or fault.trigger is None or fault.level != "instruction":
+    if fault is None or fault.level != "instruction" or fault.recurs:
         return spec
+    return spec.model_copy(update={"fault": FaultSpec(target=fault.target)})
+
+
+def armed_call(fault: FaultSpec | None) -> Trigger | None:
+    """Which call a node is to stop in: a number, or a time, which counts more. None: in no single one."""
+    if fault is None or fault.trigger is None or fault.level != "instruction" or fault.recurs:
+        return None
     after_ns = fault.trigger.after_ns
-    call = Trigger(after_ns=after_ns, invocation=fault.trigger.invocation if after_ns is None else None)
-    return spec.model_copy(update={"fault": fault.model_copy(update={"trigger": call})})
+    return Trigger(after_ns=after_ns, invocation=fault.trigger.invocation if after_ns is None else None)
 
 
 class NodeSetups:
@@ -55,7 +62,9 @@ class NodeSetups:
         self.processes = [
             one
             for one in stack.values()
-            if (injector_needed or not one.with_fault) and (detector is not None or not one.with_detector)
+            if (injector_needed or not one.with_fault)
+            and (detector is not None or not one.with_detector)
+            and not one.with_strikes
         ]
         self.names = [process.name for process in self.processes]
         self._latencies: Mapping[str, KernelLatency] = load_platform(spec.platform).kernels

@@ -20,6 +20,7 @@ from deploy.mission.fork_protocol import EXIT_BUG, EXIT_NONSENSE, EXIT_REAPER
 from deploy.mission.fork_server import Exited, ForkServer
 from injector.tracing.process import tracer_of
 from services.bus.session import BusAddress
+from services.models.faults.specification import Trigger
 from services.models.outcome import KernelUse, NodeReport, NodeResult
 from services.models.pilots import GUARDS, GuardName
 from services.runtime.setup import NodeSetup
@@ -111,9 +112,19 @@ class Supervisor:
     """Starts the processes of a mission on a fork server and watches them."""
 
     def __init__(
-        self, server: ForkServer, address: BusAddress, hang_cpu_s: float, *, traced: str = ""
+        self,
+        server: ForkServer,
+        address: BusAddress,
+        hang_cpu_s: float,
+        *,
+        traced: str = "",
+        armed: Trigger | None = None,
     ) -> None:
-        """Start nobody yet; the node of that name, if any, is traced as long as it lives."""
+        """Start nobody yet; the node of that name, if any, is traced as long as it lives.
+
+        ``armed`` is the call in which the fault's node is to stop.
+        """
+        self._armed = armed
         self._server = server
         self._traced = traced
         self._address = address
@@ -127,6 +138,8 @@ class Supervisor:
         if member is None:
             log = self._address.folder / f"{process.name}.log"
             member = SupervisedNode(process, SharedStats.create(process.name), log, setup.kernels)
+            if self._armed is not None:
+                member.stats.arm(self._armed.invocation, self._armed.after_ns)
             self.members[process.name] = member
         descriptor = os.open(member.log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
         try:

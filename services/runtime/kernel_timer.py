@@ -103,10 +103,10 @@ class KernelTimer:
 
     def _is_armed(self, kernel: str, invocation: int, now_ns: int) -> bool:
         """Whether this call is the one that the fault is for; at most one is between two restarts."""
-        fault = self._fault
-        if fault is None or fault.target != kernel or fault.trigger is None:
+        fault, page = self._fault, self._page
+        if fault is None or fault.level != "instruction" or fault.target != kernel:
             return False
-        if not fault.trigger.names(invocation, now_ns):
+        if not (page["armed_invocation"] == invocation or 0 <= page["armed_from_ns"] <= now_ns):
             return False
         self._fault = None
         return True

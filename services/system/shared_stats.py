@@ -1,7 +1,8 @@
 """Counters of a node in a page of memory shared with its supervisor; they outlive the node.
 
 The page outlives the node, so the supervisor can read at which virtual time a node crashed and whether
-it still computes. It carries nothing that influences a flight.
+it still computes. Which call a fault strikes stands here, too, and nowhere in the node's own memory: that is
+the same up to the call, whichever it is. Nothing else in it influences a flight.
 """
 
 from __future__ import annotations
@@ -28,8 +29,12 @@ _COUNTS: list[tuple[Any, ...]] = [
     ("ungated", np.int64),  # outputs without a verdict, as the detector had died
     ("guards", np.int64, (MAX_GUARDS,)),  # what each did, in the order of their table
 ]
+NOT_ARMED = -1
+
 _LAYOUT = np.dtype(
     [
+        ("armed_invocation", np.int64),  # of the fault's kernel, NOT_ARMED for none
+        ("armed_from_ns", np.int64),  # the first call from this virtual time on, NOT_ARMED for none
         *_COUNTS,
         ("before", np.dtype([("step_ns", np.int64), *_COUNTS]), (STEPS_KEPT,)),
         ("step_ns", np.int64),  # virtual time of the step under way or last finished
@@ -53,6 +58,24 @@ _LAYOUT = np.dtype(
     ]
 )
 
+ARMED_INVOCATION_AT = _LAYOUT.fields["armed_invocation"][1] if _LAYOUT.fields is not None else 0
+"""Where in the page the number of the armed call is, 8 bytes."""
+
+
+PAGE_BYTES = _LAYOUT.itemsize
+
+
+def counts_in(content: bytes, end_ns: int) -> dict[str, list[int]]:
+    """What a node whose page has this content had counted before a virtual time, by name."""
+    found = _counts(np.frombuffer(content, dtype=_LAYOUT)[0], end_ns)
+    return {name: np.atleast_1d(found[name]).tolist() for name, *_ in _COUNTS}
+
+
+def _counts(page: np.void, end_ns: int) -> np.void:
+    later = [one for one in page["before"] if one["step_ns"] >= end_ns]
+    found: np.void = min(later, key=lambda one: (one["step_ns"], one["steps"]), default=page)
+    return found.copy()
+
 
 class SharedStats:
     """One node's page. The supervisor creates it, node and proxy map the same file descriptor."""
@@ -65,10 +88,17 @@ class SharedStats:
 
     @classmethod
     def create(cls, name: str) -> SharedStats:
-        """A new page in anonymous memory, gone with its last owner."""
+        """A new page in anonymous memory, gone with its last owner; no call is armed."""
         descriptor = os.memfd_create(f"zenfi-{name}", os.MFD_CLOEXEC)
         os.ftruncate(descriptor, _LAYOUT.itemsize)
-        return cls(descriptor)
+        created = cls(descriptor)
+        created.arm(None, None)
+        return created
+
+    def arm(self, invocation: int | None, from_ns: int | None) -> None:
+        """Have the node stop at the injector's gate in a call: by its number, or the first from a time on."""
+        self.page["armed_invocation"] = NOT_ARMED if invocation is None else invocation
+        self.page["armed_from_ns"] = NOT_ARMED if from_ns is None else from_ns
 
     def begin_step(self, start_ns: int) -> None:
         """Keep the counts from before the step that begins at this virtual time."""
@@ -83,9 +113,7 @@ class SharedStats:
 
         How many steps a node makes while the flight's end is on its way to it is chance.
         """
-        later = [one for one in self.page["before"] if one["step_ns"] >= end_ns]
-        found: np.void = min(later, key=lambda one: (one["step_ns"], one["steps"]), default=self.page)
-        return found.copy()
+        return _counts(self.page, end_ns)
 
     def close(self) -> None:
         """Unmap the page and close its descriptor."""

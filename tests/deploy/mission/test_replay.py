@@ -15,7 +15,7 @@ from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.golden_twin import PairFlyer
 from deploy.mission.replay import compare, replay
-from deploy.mission.setups import spec_for_stages
+from deploy.mission.setups import armed_call, spec_for_stages
 from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
@@ -217,8 +217,7 @@ def test_stages_are_told_no_more_of_a_replayed_fault_than_of_the_first(first: Ou
     before = altered(first, code="", registers="").spec
     assert first.spec != before
     assert spec_for_stages(first.spec) == spec_for_stages(before)
-    fault = spec_for_stages(first.spec).fault
-    assert fault is not None
-    assert fault.trigger is not None
+    assert first.spec.fault is not None
+    assert spec_for_stages(first.spec).fault == FaultSpec(target=first.spec.fault.target)
     assert first.injection is not None
-    assert fault.trigger.names(first.injection.invocation, 0)
+    assert armed_call(first.spec.fault) == Trigger(invocation=first.injection.invocation)
