@@ -93,6 +93,22 @@ class Way:
     rest: int
 
 
+FEW_PASSES = 2_000
+"""Passes through an address that are counted from the call's beginning: some 20 ms."""
+
+
+def way_from_the_beginning(
+    blocks: BlockCounts, target: DynamicInstruction, before: BlockCounts | None = None
+) -> Way | None:
+    """A quicker way to a late pass than to count all of them; None: there is none, or it is early.
+
+    ``blocks`` are of a copy that stands before the target, and noted its passes since ``before``.
+    """
+    if target.hit <= FEW_PASSES:
+        return None
+    return _cheapest(blocks, target, blocks.passes - _earlier(blocks, before) > 0, blocks.passes, target.hit)
+
+
 def shortest_way(
     blocks: BlockCounts, target: DynamicInstruction, before: BlockCounts | None = None
 ) -> Way | None:
@@ -101,13 +117,28 @@ def shortest_way(
     ``blocks`` are of a copy that stands before the target and noted its passes; ``before`` tells of the same
     copy where the way begins, without it at the beginning of the call.
     """
+    earlier = _earlier(blocks, before)
+    passes = blocks.passes - earlier
+    direct = target.hit - int(earlier[blocks.leaders == target.address].sum())
+    return _cheapest(blocks, target, passes > 0, passes, direct)
+
+
+def _earlier(blocks: BlockCounts, before: BlockCounts | None) -> NDArray[np.int64]:
     earlier = np.zeros_like(blocks.passes)
     if before is not None:
         earlier[: len(before.passes)] = before.passes
-    passes = blocks.passes - earlier
-    of_target = blocks.leaders == target.address
-    possible = np.flatnonzero((passes > 0) & ~of_target)
-    direct = target.hit - int(earlier[of_target].sum())
+    return earlier
+
+
+def _cheapest(
+    blocks: BlockCounts,
+    target: DynamicInstruction,
+    noted: NDArray[np.bool_],
+    passes: NDArray[np.int64],
+    direct: int,
+) -> Way | None:
+    """The way through one of the blocks at which passes were ``noted``, if it is cheaper than directly."""
+    possible = np.flatnonzero(noted & (blocks.leaders != target.address))
     costs = (passes + target.hit - blocks.noted)[possible]
     if not len(possible) or int(costs.min()) >= direct:
         return None

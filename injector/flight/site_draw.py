@@ -14,17 +14,20 @@ from contextlib import AbstractContextManager
 import numpy as np
 
 from injector.block_profile.counted_call import UncountableError
-from injector.block_profile.instruction_counts import DynamicInstruction, shortest_way
+from injector.block_profile.instruction_counts import (
+    FEW_PASSES,
+    DynamicInstruction,
+    Way,
+    way_from_the_beginning,
+)
 from injector.faults.call_profile import CallProfile, counted_call
 from injector.flight.probe import ProbeRun
 from injector.tracing.compiled_functions import compiled_functions
 from injector.tracing.elf import place
+from injector.tracing.process import Process
 from services.kernels import scope_of
 from services.models.faults.specification import FaultSpec, Site, Trigger, Waypoint
 from services.runtime.kernel_timer import GATE_SIGNAL
-
-FEW_PASSES = 2_000
-"""Passes through an address that are counted from the call's beginning: some 20 ms."""
 
 Probes = Callable[[], AbstractContextManager[ProbeRun]]
 
@@ -86,11 +89,15 @@ def _with_a_way(
     )
     if call.to_next_stop(GATE_SIGNAL) is None:
         raise UncountableError("the call ended before the pass that another copy made")
-    way = shortest_way(call.counts(), drawn)
+    way = way_from_the_beginning(call.counts(), drawn)
     if way is None:
         return site
-    there = place(probe.process.pid, probe.process.maps(), way.address, compiled_functions())
-    waypoint = Waypoint(
+    return site.model_copy(update={"way": waypoint(probe.process, way)})
+
+
+def waypoint(process: Process, way: Way) -> Waypoint:
+    """A way through a process's code, told so that it can be gone in another one."""
+    there = place(process.pid, process.maps(), way.address, compiled_functions())
+    return Waypoint(
         module=there.module, build_id=there.build_id, offset=there.offset, hit=way.hit, rest=way.rest
     )
-    return site.model_copy(update={"way": waypoint})

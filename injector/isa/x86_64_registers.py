@@ -25,6 +25,9 @@ _RESTARTS = (-512, -513, -514, -516)
 
 NO_SYSTEM_CALL = 2**64 - 1
 
+_SYSTEM_CALL_SIZE = 2
+"""Bytes of the instruction."""
+
 
 @dataclass(frozen=True, slots=True)
 class RegisterPart:
@@ -99,6 +102,21 @@ def outside_of_calls(general: bytearray) -> bytearray:
     """General registers of a thread that the kernel has no system call to enter again for."""
     changed = bytearray(general)
     struct.pack_into("<Q", changed, _OFFSETS["orig_rax"], NO_SYSTEM_CALL)
+    return changed
+
+
+def entering_again(general: bytearray) -> bytearray:
+    """General registers of a thread that stands before the system call that the kernel would enter again.
+
+    Those of a thread that is in none are left as they are, but for what says so.
+    """
+    changed = outside_of_calls(general)
+    (number,) = struct.unpack_from("<q", general, _OFFSETS["orig_rax"])
+    (result,) = struct.unpack_from("<q", general, _OFFSETS["rax"])
+    if number >= 0 and result in _RESTARTS:
+        (after,) = struct.unpack_from("<Q", general, _OFFSETS["rip"])
+        struct.pack_into("<Q", changed, _OFFSETS["rip"], after - _SYSTEM_CALL_SIZE)
+        struct.pack_into("<q", changed, _OFFSETS["rax"], number)
     return changed
 
 

@@ -11,9 +11,15 @@ from collections import defaultdict
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import groupby
+from typing import NamedTuple
 
 from injector.block_profile.counted_call import CountedCall
-from injector.block_profile.instruction_counts import DynamicInstruction, Way, shortest_way
+from injector.block_profile.instruction_counts import (
+    DynamicInstruction,
+    Way,
+    shortest_way,
+    way_from_the_beginning,
+)
 from injector.faults.call_profile import counted_call
 from injector.isa.host import decode
 from injector.kernel_study.remote_fork import RemoteForks
@@ -48,6 +54,14 @@ class SamplePoint(Strict):
     def at(self) -> Pass:
         """The address, and the number of the pass through it."""
         return self.address, self.hit
+
+
+class Stop(NamedTuple):
+    """A point, the thread that stands there, and a quicker way there from the call's beginning, if any."""
+
+    point: SamplePoint
+    thread: Tracee
+    way: Way | None
 
 
 class CheckpointRun:
@@ -85,8 +99,8 @@ class CheckpointRun:
                 found.extend(by_pass.pop(self._next(call)))
         return found
 
-    def visit(self, leg: Sequence[SamplePoint]) -> Generator[tuple[SamplePoint, Tracee]]:
-        """Each point of a leg, which is in the call's order, and the thread that stands there, to be copied.
+    def visit(self, leg: Sequence[SamplePoint]) -> Generator[Stop]:
+        """Stop at each point of a leg, which is in the call's order; the thread there is to be copied.
 
         Who was killed on the way there is told of with the point; no copy can be made of it.
 
@@ -98,17 +112,17 @@ class CheckpointRun:
         # Counted is from here on; the instruction at which it stands was a pass, too.
         stood_at = ptrace.program_counter(thread.tid)
         try:
-            for ((address, _), here), way in zip(places, ways, strict=True):
+            for ((address, _), here), (way, whole_way) in zip(places, ways, strict=True):
                 self._to_a_pass(thread, way.address, way.hit - (way.address == stood_at))
                 self._to_a_pass(thread, address, way.rest)
                 stood_at = 0
                 for point in here:
-                    yield point, thread
+                    yield Stop(point, thread, whole_way)
         finally:
             self._forks.end(thread)
 
-    def _ways(self, places: Sequence[Pass]) -> Iterator[Way]:
-        """The way to each place from the one before it, to the first one from the call's beginning."""
+    def _ways(self, places: Sequence[Pass]) -> list[tuple[Way, Way | None]]:
+        """The way to each place from the one before it, and a quicker one from the beginning."""
         before = None
         ways = []
         with self._translated(places) as call:
@@ -120,10 +134,11 @@ class CheckpointRun:
                 passed = 0
                 if before is not None:
                     passed = int(before.passes[before.leaders == address].sum())
-                way = shortest_way(counts, DynamicInstruction(address, hit, hit), before)
-                ways.append(way or Way(address, hit - passed, 0))
+                here = DynamicInstruction(address, hit, hit)
+                way = shortest_way(counts, here, before) or Way(address, hit - passed, 0)
+                ways.append((way, way_from_the_beginning(counts, here, before)))
                 before = counts
-        return iter(ways)
+        return ways
 
     def _next(self, call: CountedCall) -> Pass:
         stop = call.to_next_stop(self._mark)

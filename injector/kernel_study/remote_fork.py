@@ -13,7 +13,7 @@ import os
 import signal
 from contextlib import suppress
 
-from injector.isa.x86_64_registers import entering, outside_of_calls
+from injector.isa.x86_64_registers import entering, entering_again
 from injector.tracing import ptrace
 from injector.tracing.ptrace import NT_PRSTATUS, GoneError, StopReport
 from injector.tracing.tracee import Tracee
@@ -62,7 +62,7 @@ class RemoteForks:
 
     def _clone(self, tid: int) -> int:
         blocked = ptrace.blocked_signals(tid)
-        own = outside_of_calls(ptrace.read_registers(tid, NT_PRSTATUS, _SET_SIZE))
+        own = entering_again(ptrace.read_registers(tid, NT_PRSTATUS, _SET_SIZE))
         call = entering(own, self._instruction, CLONE, _CLONE_PARENT | signal.SIGCHLD, 0, 0, 0, 0)
         ptrace.write_registers(tid, NT_PRSTATUS, call)
         ptrace.block_signals(tid, _HELD_BACK)

@@ -177,7 +177,7 @@ class SubjectInjector:
     ) -> Generator[tuple[int, StudyRun]]:
         """Inject at each of the points, up to the first at which no copy can be made."""
         with closing(self._checkpoints(fault).visit(tuple(leg))) as points:
-            for point, there in points:
+            for point, there, _ in points:
                 aimed = fault.model_copy(update={"seed": point.index, "trigger": self._trigger(point)})
                 try:
                     copy = self.forks.copy(there)

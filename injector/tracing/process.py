@@ -113,6 +113,15 @@ class MemoryMap:
         """The pieces that may be executed."""
         return (_mapping(line) for line in self._lines if "x" in line.split(maxsplit=2)[1])
 
+    def writable(self) -> Iterator[MemoryMapping]:
+        """The pieces that may be written."""
+        return (_mapping(line) for line in self._lines if "w" in line.split(maxsplit=2)[1])
+
+    @property
+    def extents(self) -> tuple[str, ...]:
+        """Where pieces lie and what may be done with them, in order: ``"START-END PERMISSIONS"``."""
+        return tuple(line[: line.index(" ", line.index(" ") + 1)] for line in self._lines)
+
 
 def _mapping(line: str) -> MemoryMapping:
     extent, permissions, offset, _, _, *named = line.split(maxsplit=5)

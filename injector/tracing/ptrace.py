@@ -359,14 +359,14 @@ def signal_code(tid: int) -> int:
     return int.from_bytes(_siginfo(tid)[8:12], "little", signed=True)
 
 
-def sent_by_another(tid: int) -> bool:
+def sent_by_another(tid: int, number: int | None = None) -> bool:
     """Whether another process has sent the signal at which a tracee of one thread stands.
 
-    Nobody has sent one whose ``si_code`` is above 0 (SI_USER); of the others ``si_pid`` says who.
+    Nobody has sent one whose ``si_code`` is above 0 (SI_USER); of the others ``si_pid`` says who. The
+    tracee's own ``number`` may be another one in its pid namespace.
     """
-    siginfo = _siginfo(tid)
-    code = int.from_bytes(siginfo[8:12], "little", signed=True)
-    return code <= 0 and int.from_bytes(siginfo[16:20], "little") != tid
+    sender = int.from_bytes(_siginfo(tid)[16:20], "little")
+    return signal_code(tid) <= 0 and sender != (tid if number is None else number)
 
 
 def _siginfo(tid: int) -> bytes:

@@ -108,6 +108,11 @@ class ProxyLink:
         self._socket = end
         self._heard = b""
 
+    @property
+    def pending(self) -> bool:
+        """Whether something has come that is not heard yet."""
+        return bool(self._heard)
+
     def hear(self) -> Frame | None:
         """The next frame from the node; None once the node closed the socket or died, even within a frame.
 

@@ -47,6 +47,15 @@ def listed_pid(pid: int) -> int:
     return int(info.partition("\nPid:")[2].split(maxsplit=1)[0])
 
 
+def own_number(pid: int) -> int:
+    """The number that a process knows itself by, in its own pid namespace.
+
+    :raises OSError: if it is gone.
+    """
+    status = Path(f"/proc/{pid}/status").read_text()
+    return int(status.partition("\nNSpid:")[2].partition("\n")[0].split()[-1])
+
+
 def main_thread_stat(pid: int) -> ProcessStat:
     """The status of the first thread of a process alone.
 

@@ -63,7 +63,7 @@ def points_are_those_of_steps(tmp_path: Path, kernel: str) -> None:
         points = [*points_of(trace, indices), SamplePoint(index=TWICE, address=trace[1], hit=1)]
         leg = run.in_order(list(reversed(points)))
         assert [point.at for point in leg] == [point.at for point in sorted(points, key=number)]
-        for point, thread in run.visit(leg):
+        for point, thread, _ in run.visit(leg):
             assert ptrace.program_counter(thread.tid) == point.address
             copy = one.forks.copy(thread)
             left = trace[number(point) :]
@@ -91,7 +91,7 @@ def repetitions_count_once(tmp_path: Path, kernel: str) -> None:
         )
         met = [
             point.at
-            for point, thread in run.visit(leg)
+            for point, thread, _ in run.visit(leg)
             if ptrace.program_counter(thread.tid) == point.address
         ]
         assert met == [point.at for point in leg]
