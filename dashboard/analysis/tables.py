@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from rich.table import Table
 
 from dashboard.campaigns.flight_record import Result
-from dashboard.campaigns.forecast import Forecast
-from dashboard.campaigns.presets import CampaignPreset
-from dashboard.campaigns.results.compare import Comparison
 from dashboard.campaigns.results.detection_effects import EFFECTS, Effect, effect
-from dashboard.campaigns.results.summary import CellSummary
-from dashboard.campaigns.statistics.proportions import Interval
-from injector.capabilities import Capability
 from services.models.detection import DetectionReport
 from services.models.outcome import InjectionRecord, NodeReport, Outcome, RecordingReport
 from services.models.propagation import Propagation
+
+if TYPE_CHECKING:  # they load SQLAlchemy, which a flight does without
+    from dashboard.campaigns.forecast import Forecast
+    from dashboard.campaigns.presets import CampaignPreset
+    from dashboard.campaigns.results.compare import Comparison
+    from dashboard.campaigns.results.summary import CellSummary
+    from dashboard.campaigns.statistics.proportions import Interval
+    from injector.capabilities import Capability
 
 NODE_RESULTS = ("benign", "sdc", "crash", "hang")
 ALARMS_SHOWN = 8
@@ -45,7 +48,7 @@ def outcome(one: Outcome) -> Table:
     if one.qof.coverage is not None:
         table.add_row("coverage", f"{one.qof.coverage:.0%}")
     _add_verdicts(table, one)
-    table.add_row("wall time", f"{one.wall_s:.2f} s")
+    table.add_row("wall time", f"{one.wall_s:.2f} s" if one.proof is None else f"proven: {one.proof.told}")
     for stage, report in one.nodes.items():
         told = [*report.causes, *_counted(report)]
         table.add_row(stage, report.result + (f" ({', '.join(told)})" if told else ""))
@@ -155,6 +158,9 @@ def campaign(name: str, summary: Sequence[CellSummary]) -> Table:
     """Quality of flight per cell; fits a terminal of 80 columns."""
     failed = sum(line.failed_to_fly for line in summary)
     lost = f" {failed} runs failed to fly and count nowhere: see zenfi campaign export." if failed else ""
+    if proven := sum(line.proven for line in summary):
+        flown = sum(line.runs - line.failed_to_fly for line in summary) - proven
+        lost = f" {flown:,} were flown, {proven:,} proven the same." + lost
     table = Table(
         title=f"{name}: quality of flight per arm",
         caption="95 %: Wilson interval of success. s, m, kJ: medians of successes; plans: mean of replans. "

@@ -17,6 +17,7 @@ class Result:
     ``alarms`` counts the detector's after the fault, None without a detector, and ``recomputed`` those of
     them after which an output was made again. ``harm`` names what harmed the flight beside its twin, and
     ``harmed_at_s`` says when it began; empty if nothing did, None where it is not known or has no twin.
+    ``proof`` is by what the outcome was proven, empty if it was flown.
     """
 
     result: str
@@ -39,6 +40,7 @@ class Result:
     recomputed: int
     harm: str | None
     harmed_at_s: float | None
+    proof: str
     digest: str
     wall_s: float
 
@@ -72,6 +74,7 @@ class Result:
             recomputed=sum(one.action == "recomputed" for one in alarms or ()),
             harm=" ".join(kinds(outcome.harm)) if outcome.harm is not None else None,
             harmed_at_s=harmed_ns / 1e9 if harmed_ns is not None else None,
+            proof=outcome.proof.by if outcome.proof is not None else "",
             digest=outcome.digest,
             wall_s=outcome.wall_s,
         )

@@ -18,7 +18,7 @@ from deploy.recording.snapshot import FlightSnapshot
 from services.models.outcome import Outcome
 
 POLL_S = 0.25
-GROUP = 8
+GROUP = 64
 """Most runs of one golden twin that are leased at a time."""
 
 Write = Callable[[CampaignStates, Sequence[int], Mapping[int, Outcome]], None]
@@ -50,6 +50,8 @@ class Scheduler:
         lease_s: float,
         write: Write,
         desired_state: Callable[[], str] = lambda: "",
+        *,
+        fly_all: bool = False,
     ) -> None:
         self.watch: Callable[[int, FlightStatus, FlightSnapshot | None], None] = (
             lambda _run, _present, _sight: None
@@ -61,6 +63,7 @@ class Scheduler:
         self._lease_s = lease_s
         self._write = write
         self._desired_state = desired_state
+        self._fly_all = fly_all
         self._queue: deque[list[int]] = deque()
         self._serial = itertools.count()
         self._asked = ""
@@ -120,7 +123,7 @@ class Scheduler:
             lease = str(next(self._serial))
             until_s = time.monotonic() + self._lease_s
             changed += self.states.handle(Leased(lease, tuple(group), until_s))
-            task = ExecutorTask(lease, [(run, self._planned[run].spec) for run in group])
+            task = ExecutorTask(lease, [(run, self._planned[run].spec) for run in group], self._fly_all)
             for begun in self._executor.submit(task):
                 changed += self.states.handle(begun.event)
         if changed:

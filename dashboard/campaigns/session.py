@@ -47,6 +47,7 @@ def scheduling(
                 record=recorder.path(run, planned[run].index),
                 about=about,
                 live=live if live.is_socket() else None,
+                flown=store.folder / "flown",
             )
 
         running = stack.enter_context(
@@ -66,6 +67,7 @@ def scheduling(
                 campaign, states, changed, outcomes, recorder.file(planned, outcomes)
             ),
             lambda: store.desired_state(campaign),
+            fly_all=campaign.spec.fly_all,
         )
         try:
             yield scheduler

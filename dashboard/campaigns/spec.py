@@ -108,6 +108,7 @@ class CampaignSpec(Strict):
     worlds: tuple[World, ...] = ()
     faults: tuple[Condition, ...] = ()
     stop: StoppingSpec | None = None
+    fly_all: bool = Field(default=False, description="fly every run in full, also one that can be proven")
     limits: CampaignLimits = CampaignLimits()
     executor: ExecutorSpec = LocalSpec()
     recording: RecordingPolicy = RecordingPolicy()

@@ -50,6 +50,7 @@ def campaign() -> None:
 @click.option(
     "--scale", type=click.FloatRange(min=0, min_open=True), default=1.0, help="So many times the runs a cell."
 )
+@click.option("--fly-all", is_flag=True, help="Fly also what can be proven by striking the node alone.")
 @executor_at
 @in_slots
 @in_store
@@ -58,6 +59,7 @@ def campaign() -> None:
 def run(
     spec: str,
     scale: float,
+    fly_all: bool,
     executor: str | None,
     slots: int | None,
     store: str,
@@ -66,6 +68,8 @@ def run(
 ) -> None:
     """Fly the campaign in the TOML or JSON file SPEC, or the preset of that name."""
     asked = scaled(load_campaign(spec), scale)
+    if fly_all:
+        asked = asked.model_copy(update={"fly_all": True})
     if executor is not None:
         asked = asked.model_copy(update={"executor": parse_executor(executor, asked.executor)})
     run_new(asked, slots, store, as_json, svg)

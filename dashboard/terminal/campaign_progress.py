@@ -78,7 +78,7 @@ def fly(
 
 def _watch(scheduler: Scheduler, campaign: Campaign, as_json: bool) -> None:
     states = scheduler.states
-    flown, arrived = 0, 0
+    told, arrived, proven = 0, 0, 0
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -97,11 +97,12 @@ def _watch(scheduler: Scheduler, campaign: Campaign, as_json: bool) -> None:
                     f"[red]not flown[/red]: {one.run.cell}, run {one.run.index}: {one.error}"
                 )
             else:
-                flown, arrived = flown + 1, arrived + one.outcome.qof.success
+                told, arrived = told + 1, arrived + one.outcome.qof.success
+                proven += one.outcome.proof is not None
             progress.update(
                 task,
                 completed=states.count("done", "failed", "cancelled"),
-                success=f"success {arrived}/{flown}",
+                success=f"success {arrived}/{told}" + (f", {proven} proven" if proven else ""),
             )
             if as_json:
                 _flight(campaign, one)

@@ -23,9 +23,11 @@ class ProcessDeclaration:
     with_fault: bool = False
     sidecar: bool = False
     with_detector: bool = False
+    with_strikes: bool = False
 
 
 _TABLE = (
+    ProcessDeclaration("striker", "injector.strikes.node", sidecar=True, with_strikes=True),
     # First, so that the nodes can name it as their tracer.
     ProcessDeclaration("injector", "injector.node", essential=True, with_fault=True, sidecar=True),
     ProcessDeclaration("sim", "sim.node", essential=True),

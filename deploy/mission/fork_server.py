@@ -82,8 +82,11 @@ class ForkServer:
         if not started:
             self.close()
             raise ForkServerError("the fork server did not start")
-        self.fixed_pids = bool(json.loads(started)["fixed_pids"])
+        told = json.loads(started)
+        self.fixed_pids = bool(told["fixed_pids"])
         """Whether nodes have the same pids in every flight (:mod:`injector.reproducible.pid_namespace`)."""
+        self.installation = str(told["installation"])
+        """A name for all that decides on a node's code (:mod:`injector.reproducible.compiled_code`)."""
 
     @property
     def pid(self) -> int:
@@ -102,14 +105,25 @@ class ForkServer:
         return poll
 
     def spawn(
-        self, setup: NodeSetup, address: BusAddress, stats: SharedStats, log: int, tracer_pid: int
+        self,
+        setup: NodeSetup,
+        address: BusAddress,
+        stats: SharedStats,
+        log: int,
+        tracer_pid: int,
+        *,
+        alone: bool = False,
     ) -> Forked:
-        """Fork a process. ``log`` takes its output, ``tracer_pid`` (0: nobody) may trace it."""
+        """Fork a process. ``log`` takes its output, ``tracer_pid`` (0: nobody) may trace it.
+
+        A node that is to run ``alone`` has no proxy: who listens for links in the folder serves it.
+        """
         sidecar = self.stack[setup.name].sidecar
         order = {
             "setup": setup.model_dump_json(),
             "meeting": json.dumps([str(address.folder), address.namespace]),
             "sidecar": sidecar,
+            "alone": alone,
             "tracer_pid": tracer_pid,
         }
         try:

@@ -30,17 +30,18 @@ from numba.core import event as numba_event
 
 from deploy.config.processes import FOREIGN
 from deploy.mission.fork_protocol import EXIT_BUG, EXIT_NONSENSE, EXIT_REAPER, MESSAGE_SIZE, SIDE_SERVER
-from injector.reproducible import fork_loop, pid_namespace
+from injector.reproducible import compiled_code, fork_loop, pid_namespace
 from injector.reproducible.bootstrap import STANDARD
 from injector.reproducible.fatal_signals import ended_by_another, handle_fatal_signals
 from injector.reproducible.fixed_libc import FIXED_LIBC
 from injector.reproducible.forked_question import answered_by_a_fork
 from injector.reproducible.installed_packages import offer_all_packages
 from injector.reproducible.launch import begin_again_if, begin_again_to_compile
+from injector.strikes.results import LINKS
 from services.bus.messages import prepare
 from services.bus.proxy_link import NodeLink, NonsenseError, ProxyLink, receive
 from services.bus.session import BusAddress, topic_key
-from services.bus.topics import HORIZON_TYPE, TOPICS
+from services.bus.topics import TOPICS
 from services.runtime import probe_gate
 from services.runtime.realtime import proxy
 from services.runtime.setup import NodeSetup
@@ -88,7 +89,6 @@ def main() -> None:
     os.dup2(nothing, 0)
     os.close(nothing)
     papers.recv(MESSAGE_SIZE)
-    prepare(HORIZON_TYPE)
     for topic in TOPICS.values():
         topic_key(topic.name)
         prepare(topic.type)
@@ -96,7 +96,8 @@ def main() -> None:
     home = pid_namespace.begin()
     gc.collect()
     gc.freeze()
-    papers.send(json.dumps({"fixed_pids": home != pid_namespace.NOWHERE}).encode())
+    told = {"fixed_pids": home != pid_namespace.NOWHERE, "installation": compiled_code.folder().name}
+    papers.send(json.dumps(told).encode())
     _fork_on_order(papers, modules, home)
     # Without the interpreter's own clean-up: nanobind would complain of OMPL's leaks at length.
     os._exit(0)
@@ -232,6 +233,9 @@ def _attend(end: socket.socket, pid: int, order: Mapping[str, str], descriptors:
         end.sendall(address)
         return True
     folder, namespace = json.loads(address)
+    if order["alone"]:
+        _hand_over(end, pid, Path(folder) / LINKS)
+        return True
     bus = proxy(setup, BusAddress(Path(folder), namespace), ProxyLink(end), pid, SharedStats(stats))
     try:
         bus.serve()
@@ -240,6 +244,18 @@ def _attend(end: socket.socket, pid: int, order: Mapping[str, str], descriptors:
         os.kill(pid, signal.SIGKILL)
         return False
     return True
+
+
+def _hand_over(end: socket.socket, pid: int, links: Path) -> None:
+    """Have somebody else serve the node; wait for its end, and bury its copies, who are children of ours."""
+    with socket.socket(socket.AF_UNIX) as line:
+        line.connect(str(links))
+        socket.send_fds(line, [str(listed_pid(pid)).encode()], [end.fileno()])
+    end.close()
+    while os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+        found = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOWAIT)
+        if found is not None and found.si_pid != pid:
+            os.waitpid(found.si_pid, 0)
 
 
 # -- the process -------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from pydantic import Field, model_validator
@@ -9,6 +10,7 @@ from pydantic import Field, model_validator
 from deploy.recording.flight_status import FlightStatus
 from deploy.recording.snapshot import FlightSnapshot
 from services.models.base import Strict
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
 
@@ -23,6 +25,24 @@ class WorkerOrder(Strict):
     record: Path | None = None
     live: Path | None = Field(default=None, description="socket of who shows flights while they are flown")
     about: dict[str, str] = Field(default={}, description="what the recording says beside the specification")
+    flown: Path | None = Field(default=None, description="folder of outcomes that stand for others")
+    ahead: tuple[FaultSpec, ...] | None = Field(
+        default=None,
+        description="faults of the mission that follow, to be struck with in one pass; none: fly in full",
+    )
+
+
+def with_faults_ahead(orders: Sequence[WorkerOrder]) -> list[WorkerOrder]:
+    """Orders for one worker, each with the faults of those behind it that have the same golden twin."""
+    twins = [one.spec.model_copy(update={"fault": None}).model_dump_json() for one in orders]
+    found = []
+    for place, order in enumerate(orders):
+        behind = zip(orders[place + 1 :], twins[place + 1 :], strict=True)
+        ahead = tuple(
+            one.spec.fault for one, twin in behind if twin == twins[place] and one.spec.fault is not None
+        )
+        found.append(order.model_copy(update={"ahead": ahead}))
+    return found
 
 
 class WorkerAnswer(Strict):

@@ -127,8 +127,9 @@ def _seen(window: _Window) -> str:
 
 
 def _fly(pairs: PairFlyer, order: WorkerOrder) -> WorkerAnswer:
+    pairs.proofs.flown.share(order.flown)
     try:
-        return WorkerAnswer(outcome=pairs.fly(order.spec, order.record, order.about, order.live))
+        return WorkerAnswer(outcome=pairs.fly(order.spec, order.record, order.about, order.live, order.ahead))
     except DisturbedFlightError as error:
         return WorkerAnswer(error=str(error), disturbed=True)
     except (InfrastructureError, ForkServerError, NothingToInjectError) as error:

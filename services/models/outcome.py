@@ -209,6 +209,30 @@ class RecordingReport(Strict):
     problem: str = Field(default="", description="why the file is not complete, as the system says")
 
 
+ProofBy = Literal["same_memory", "same_messages", "same_state", "same_death"]
+
+
+class Proof(Strict):
+    """Why a flight with a fault need not be flown: what was seen of the struck node, running alone.
+
+    ``same_memory``: after the call its memory was that of an unstruck copy. ``same_messages``: it sent what
+    it had sent in the golden twin, to the end. ``same_state``: after the call its memory was that in a flight
+    that was flown. ``same_death``: within the call it died as it did in a flight that was flown.
+    """
+
+    by: ProofBy
+
+    @property
+    def told(self) -> str:
+        """What was seen that proves it, in words."""
+        return {
+            "same_memory": "after the call, memory as in the golden twin",
+            "same_messages": "to the end, messages as in the golden twin",
+            "same_state": "after the call, memory as in a flight that was flown",
+            "same_death": "in the call, the death of a flight that was flown",
+        }[self.by]
+
+
 class Outcome(Strict):
     """The outcome of one mission: its result, quality of flight and reports."""
 
@@ -234,6 +258,7 @@ class Outcome(Strict):
         default=0, description="late deliveries fetched again from the recorder; differs from run to run"
     )
     fixed_pids: bool = Field(default=False, description="nodes had the pids that they have in every flight")
+    proof: Proof | None = Field(default=None, description="of an outcome that was proven, not flown")
 
 
 class GoldenTwin(Strict):

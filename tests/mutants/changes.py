@@ -980,4 +980,84 @@ MUTANTS: list[Mutant] = [
             "strikes + 1",
         ),
     ),
+    *_of(
+        "injector/strikes/state.py",
+        "tests/injector/strikes/test_state.py",
+        ("strikes: memory does not tell", "        if first != second:\n", "        if False:\n"),
+        (
+            "strikes: registers do not tell",
+            "same = (one.registers, one.extents) == (other.registers, other.extents)",
+            "same = True",
+        ),
+        (
+            "strikes: memory below the stack tells",
+            "            begin = min(max(limit - page, 0), _PAGE)\n",
+            "            begin = 0\n",
+        ),
+        (
+            "strikes: what is written does not tell",
+            'told.update(page.to_bytes(8, "little") + begin.to_bytes(8, "little") + first)',
+            'told.update(page.to_bytes(8, "little"))',
+        ),
+    ),
+    *_of(
+        "injector/strikes/recorded_bus.py",
+        "tests/injector/strikes/test_recorded_bus.py",
+        (
+            "recorded bus: a message's time does not matter",
+            "(recorded[number].ready_ns, recorded[number].payload) == (ready_ns, payload)",
+            "recorded[number].payload == payload",
+        ),
+        (
+            "recorded bus: who is silent has sent all",
+            "            if sent < len(self._messages[topic]):\n",
+            "            if False:\n",
+        ),
+        (
+            "recorded bus: copies share what they have taken",
+            "twin._inlets = [replace(one) for one in self._inlets]",
+            "twin._inlets = self._inlets",
+        ),
+    ),
+    *_of(
+        "deploy/mission/proofs.py",
+        "tests/deploy/mission/test_proofs.py",
+        (
+            "proofs: a node that strayed proves the twin's outcome",
+            'found.result == "same_messages" and _counted',
+            'found.result == "strayed" or _counted',
+        ),
+        (
+            "proofs: who died of another signal is said to have died of that of the flight",
+            "[found.cause, *struck.causes[1:]]",
+            "struck.causes",
+        ),
+    ),
+    *_of(
+        "services/runtime/bus_listener.py",
+        "tests/services/runtime/test_bus_listener.py",
+        (
+            "promises: who has no use for the message misses the promise",
+            "if carrier is not None and carrier not in self.inlets:",
+            "if False:",
+        ),
+    ),
+    *_of(
+        "injector/reproducible/launch.py",
+        "tests/injector/reproducible/test_launch.py",
+        (
+            "compiled code: a change of sources meanwhile keeps all others waiting",
+            "            compiled_code.is_unfinished()\n            or (not",
+            "            not _is_open(_SECOND)\n            and (not",
+        ),
+    ),
+    *_of(
+        "dashboard/campaigns/executors/dask.py",
+        "tests/dashboard/campaigns/executors/test_dask.py",
+        (
+            "dask: the client's list of workers is believed",
+            'self._client.sync(cast("Any", self._client.scheduler).identity, n_workers=-1)',
+            "self._client.scheduler_info(n_workers=-1)",
+        ),
+    ),
 ]

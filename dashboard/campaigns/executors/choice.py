@@ -12,8 +12,8 @@ from typing import assert_never
 
 from pydantic import ValidationError
 
-from dashboard.campaigns.executors.executor import Executor
-from dashboard.campaigns.executors.local import LocalExecutor, Ordering, unrecorded
+from dashboard.campaigns.executors.executor import Executor, Ordering, unrecorded
+from dashboard.campaigns.executors.local import LocalExecutor
 from dashboard.campaigns.executors.spec import DaskSpec, ExecutorSpec, LocalSpec, SlurmSpec
 from deploy.errors import BadSpecError, one_line
 

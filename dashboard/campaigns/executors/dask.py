@@ -18,10 +18,10 @@ from dataclasses import dataclass, field
 from distributed import Client, Future, KilledWorker
 
 from dashboard.campaigns.events import Alive, Lost, RunStarted
-from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask, Losses, reports
+from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask, Losses, reports, unrecorded
 from deploy.errors import BadSpecError, InfrastructureError
 from deploy.workers import dask_task, installation
-from deploy.workers.protocol import WorkerAnswer, WorkerOrder
+from deploy.workers.protocol import WorkerAnswer
 
 CONNECT_S = 10.0
 LOOK_S = 1.0
@@ -89,7 +89,7 @@ class DaskExecutor:
         held = Counter(flight.host for flight in self._flights.values())
         host = max(self._hosts, key=lambda name: self._hosts[name] - held[name])
         key = f"zenfi-{self._session}-{task.lease}"
-        runs = [(run, WorkerOrder(spec=spec).model_dump_json()) for run, spec in task.runs]
+        runs = [(run, order.model_dump_json()) for run, order in task.orders(unrecorded)]
         with self._within_reach():
             future = self._client.submit(
                 dask_task.fly,

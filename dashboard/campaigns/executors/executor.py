@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,20 +11,35 @@ from dashboard.campaigns.events import Alive, Disturbed, Flown, Lost, NotFlown, 
 from deploy.errors import InfrastructureError
 from deploy.recording.flight_status import FlightStatus
 from deploy.recording.snapshot import FlightSnapshot
-from deploy.workers.protocol import WorkerAnswer
+from deploy.workers.protocol import WorkerAnswer, WorkerOrder, with_faults_ahead
 from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
+
+Ordering = Callable[[int, MissionSpec], WorkerOrder]
+"""What a worker is asked for a run, by its id and specification."""
 
 LOSSES_IN_A_ROW = 10
 """Workers lost without a flight in between, after which the fault is not the flights'."""
 
 
+def unrecorded(_run: int, spec: MissionSpec) -> WorkerOrder:
+    """A run that nobody wants a recording of."""
+    return WorkerOrder(spec=spec)
+
+
 @dataclass(frozen=True, slots=True)
 class ExecutorTask:
-    """Runs that one worker is to fly one after the other, by id."""
+    """Runs that one worker is to fly one after the other, by id; to ``fly_all`` none is to be proven."""
 
     lease: str
     runs: Sequence[tuple[int, MissionSpec]]
+    fly_all: bool = False
+
+    def orders(self, order: Ordering) -> list[tuple[int, WorkerOrder]]:
+        """What the worker is asked for each run."""
+        numbers = [run for run, _ in self.runs]
+        orders = [order(run, spec) for run, spec in self.runs]
+        return list(zip(numbers, orders if self.fly_all else with_faults_ahead(orders), strict=True))
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,21 +6,19 @@ import contextlib
 import os
 import selectors
 from collections import deque
-from collections.abc import Callable
 from pathlib import Path
 
 from dashboard.campaigns.events import Lost, RunStarted
-from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask, Losses, reports
+from dashboard.campaigns.executors.executor import (
+    ExecutorReport,
+    ExecutorTask,
+    Losses,
+    Ordering,
+    reports,
+    unrecorded,
+)
 from deploy.workers.client import WorkerClient, WorkerDiedError, start_worker
 from deploy.workers.protocol import WorkerAnswer, WorkerOrder
-from services.models.mission import MissionSpec
-
-Ordering = Callable[[int, MissionSpec], WorkerOrder]
-
-
-def unrecorded(_run: int, spec: MissionSpec) -> WorkerOrder:
-    """A run that nobody wants a recording of."""
-    return WorkerOrder(spec=spec)
 
 
 class _Slot:
@@ -29,7 +27,7 @@ class _Slot:
     def __init__(self, cpu: int, log: Path | None, order: Ordering) -> None:
         self._cpu, self._log, self._order = cpu, log, order
         self.lease = ""
-        self.todo: deque[tuple[int, MissionSpec]] = deque()
+        self.todo: deque[tuple[int, WorkerOrder]] = deque()
         self.flying: int | None = None
         self.worker = self._start()
 
@@ -44,9 +42,13 @@ class _Slot:
         if not self.todo:
             self.lease, self.flying = "", None
             return None
-        self.flying, spec = self.todo.popleft()
-        self.worker.send(self._order(self.flying, spec).model_dump_json())
+        self.flying, order = self.todo.popleft()
+        self.worker.send(order.model_dump_json())
         return self.flying
+
+    def take(self, task: ExecutorTask) -> None:
+        """Take over the runs of a task, to begin with the next."""
+        self.lease, self.todo = task.lease, deque(task.orders(self._order))
 
     def restart(self) -> None:
         """A new worker that knows nothing of the old one's runs."""
@@ -95,7 +97,7 @@ class LocalExecutor:
     def submit(self, task: ExecutorTask) -> list[ExecutorReport]:
         """Give a task to an idle worker, which begins its first run."""
         slot = next(slot for slot in self._crew if not slot.lease)
-        slot.lease, slot.todo = task.lease, deque(task.runs)
+        slot.take(task)
         return self._begun(slot)
 
     def drop(self, lease: str) -> None:

@@ -17,11 +17,11 @@ from pathlib import Path
 import submitit
 
 from dashboard.campaigns.events import Alive, Lost, RunStarted
-from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask, Losses, reports
+from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask, Losses, reports, unrecorded
 from dashboard.campaigns.executors.spec import SlurmSpec
 from deploy.errors import BadSpecError, InfrastructureError
 from deploy.workers import installation
-from deploy.workers.protocol import WorkerAnswer, WorkerOrder
+from deploy.workers.protocol import WorkerAnswer
 from deploy.workers.slurm_shard import BEAT, OWNER, Beat, answer_file, fly_shard, write
 
 BEAT_S = 2.0
@@ -128,7 +128,7 @@ class SlurmExecutor:
         """Submit a job; it begins when SLURM has room for it."""
         folder = self._folder / f"shard-{task.lease}"
         folder.mkdir()
-        runs = [(run, WorkerOrder(spec=spec).model_dump_json()) for run, spec in task.runs]
+        runs = [(run, order.model_dump_json()) for run, order in task.orders(unrecorded)]
         try:
             job = self._batch.submit(fly_shard, str(folder), runs, installation.told(), self._lease_s)
         except (submitit.core.utils.FailedJobError, submitit.core.utils.FailedSubmissionError) as error:

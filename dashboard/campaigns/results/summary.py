@@ -43,6 +43,7 @@ class CellSummary(Strict):
     replans: float | None
     aimed: int = Field(description="flown with a fault")
     injected: int = Field(description="of those, the fault was there when read back")
+    proven: int = Field(description="of the runs, whose outcome was proven and not flown")
     results: dict[str, int] = Field(description="of the node aimed at, of the injected flights")
     harmed: int | None = Field(description="of the injected flights; none where it is not known of any")
     effects: dict[Effect, int] = Field(description="what the detector made of the faults, if there is one")
@@ -88,6 +89,7 @@ def _summary(cell: Cell, records: Sequence[FlightRecord], made: Counter[Effect])
         replans=statistics.mean([result.replans for result in arrived]) if arrived else None,
         aimed=sum(result.injection != "" for result in flown),
         injected=len(injected),
+        proven=sum(result.proof != "" for result in flown),
         results=_counted(injected),
         harmed=sum(one.harm != "" for one in known) if known else None,
         effects={word: made[word] for word in EFFECTS if made},

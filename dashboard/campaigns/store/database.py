@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from deploy.errors import BadSpecError
 
-REVISION = "0007"
+REVISION = "0008"
 """The newest step in ``migrations/versions``."""
 
 

@@ -219,8 +219,8 @@ class StoreQueries:
         return self._mean(sa.func.length(ResultRow.outcome))
 
     def wall_s(self, worlds: Sequence[str]) -> float | None:
-        """Mean wall time of a flight in any of ``worlds``, of all campaigns."""
-        return self._mean(ResultRow.wall_s, RunRow.world.in_(worlds))
+        """Mean wall time of a flight that was flown in any of ``worlds``, of all campaigns."""
+        return self._mean(ResultRow.wall_s, RunRow.world.in_(worlds), ResultRow.proof == "")
 
     def _mean(self, column: Any, *where: Any) -> float | None:
         query = sa.select(sa.func.avg(column)).join(RunRow, RunRow.id == ResultRow.run_id).where(*where)

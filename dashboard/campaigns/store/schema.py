@@ -98,6 +98,7 @@ class ResultRow(Base):
     recomputed: Mapped[int] = mapped_column(default=0, server_default="0")
     harm: Mapped[str | None]
     harmed_at_s: Mapped[float | None]
+    proof: Mapped[str] = mapped_column(default="", server_default="")
     digest: Mapped[str]
     wall_s: Mapped[float]
     outcome: Mapped[str] = mapped_column(Text)

@@ -78,6 +78,7 @@ def _quality(label: str, one: CellSummary) -> Row:
     return {
         "cell": label,
         "flown": f"{flown} of {one.planned}"
+        + (f", {one.proven} proven" if one.proven else "")
         + (f", {one.failed_to_fly} could not" if one.failed_to_fly else ""),
         "success": success,
         "time": _between(one.flight_time_s, one.flight_time_low_s, one.flight_time_high_s),

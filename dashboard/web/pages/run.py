@@ -107,7 +107,7 @@ class RunPage:
         return effect(Result.of(outcome), Result.of(other) if other is not None else None) or ""
 
     def _about(self, made: str) -> None:
-        stored = self._stored
+        stored, outcome = self._stored, self._stored.outcome
         facts(
             {
                 "Arm": stored.arm,
@@ -120,6 +120,7 @@ class RunPage:
                 "Mission": f"{stored.spec.mission}, planner {stored.spec.planner}, {stored.spec.clock}",
                 "Detector": _detector(stored),
                 "The fault was": made,
+                "Proven, not flown": outcome.proof.told if outcome is not None and outcome.proof else "",
             }
         )
 

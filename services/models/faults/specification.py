@@ -309,6 +309,9 @@ class Trigger(Strict):
     """
 
     over: Literal["calls", "time"] = "calls"
+    calls: int | None = Field(
+        default=None, ge=1, description="faults of one mission strike so many different calls at most"
+    )
     invocation: int | None = Field(default=None, ge=0)
     after_ns: int | None = Field(default=None, ge=0)
     site: Site | None = None

@@ -4,7 +4,7 @@ import pytest
 
 from deploy.errors import DisturbedFlightError
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer, require_drawn_instruction
+from deploy.mission.golden_twin import PairFlyer, draw_call, require_drawn_instruction
 from services.kernels import KERNELS
 from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.mission import Limits, MissionSpec
@@ -69,6 +69,19 @@ def test_a_call_that_ends_after_the_flight_is_not_drawn_but_struck_if_asked_for(
         assert outcome.nodes["planning"].kernels["rrt_star"].invocations == 1
         assert outcome.injection is not None
         assert (outcome.injection.status, outcome.injection.invocation) == ("not_activated", asked)
+
+
+def test_faults_may_share_calls(pairs: PairFlyer) -> None:
+    golden = pairs.fly(MissionSpec(seed=7, limits=SHORT))
+
+    def calls(trigger: Trigger) -> list[int | None]:
+        faults = [FaultSpec(target="pid", seed=seed, trigger=trigger) for seed in range(60)]
+        return [draw_call(fault, golden).invocation for fault in faults]
+
+    shared = calls(Trigger(calls=3))
+    assert shared == shared[:3] * 20
+    assert shared[:3] == calls(Trigger())[:3]
+    assert len(set(shared)) == 3
 
 
 def test_the_record_says_which_fault_it_was(pairs: PairFlyer) -> None:

@@ -193,7 +193,7 @@ def test_of_flights_from_before_harm_is_not_known(where: str, tmp_path: Path) ->
         flown(store, store.create(SPEC), 1)
     engine = raw(where, tmp_path)
     with engine.begin() as connection:
-        for column in ("harm", "harmed_at_s"):
+        for column in ("harm", "harmed_at_s", "proof"):
             connection.execute(sa.text(f"ALTER TABLE results DROP COLUMN {column}"))
         connection.execute(sa.text("UPDATE alembic_version SET version_num = '0006'"))
     engine.dispose()
@@ -251,7 +251,7 @@ def test_sites_and_records_of_an_older_form_keep_their_precision(
                     sa.text(f"UPDATE {table} SET {column} = :text WHERE {key} = :number"),  # noqa: S608 - ours
                     {"text": json.dumps(older(document)), "number": number},
                 )
-        for column in ("replay", "twin_digest", "alarms", "recomputed", "harm", "harmed_at_s"):
+        for column in ("replay", "twin_digest", "alarms", "recomputed", "harm", "harmed_at_s", "proof"):
             connection.execute(sa.text(f"ALTER TABLE results DROP COLUMN {column}"))
         connection.execute(sa.text("UPDATE alembic_version SET version_num = '0003'"))
         assert documents(connection) != before

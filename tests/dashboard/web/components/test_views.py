@@ -44,6 +44,7 @@ RESULT = Result(
     harmed_at_s=None,
     alarms=None,
     recomputed=0,
+    proof="",
     digest="",
     wall_s=1.0,
 )
