@@ -18,7 +18,7 @@ from deploy.errors import DisturbedFlightError
 from deploy.mission.flight import FlownMission, Watch, fly
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.judgement import judge_harm, judge_properties
-from deploy.mission.proofs import FlightProofs, as_twin, can_be_proven, has_proofs
+from deploy.mission.proofs import FlightProofs, as_twin, can_be_proven, has_proofs, may_stand_for_others
 from deploy.recording.live_feed import LiveFeed
 from deploy.recording.mcap_recorder import McapRecorder, MessageTap
 from deploy.recording.propagation import propagation
@@ -74,7 +74,7 @@ class PairFlyer:
         twin = self._golden(spec.model_copy(update={"fault": None}), keep=record is not None or may_prove)
         fault = _at_a_call(spec.fault, twin)
         spec = spec.model_copy(update={"fault": fault})
-        if may_prove and can_be_proven(fault):
+        if may_prove and can_be_proven(fault) and may_stand_for_others(twin):
             return self._proven_or_flown(spec, twin, [_at_a_call(one, twin) for one in ahead or ()])
         if record is None:
             flown = self._fly(spec)

@@ -110,6 +110,9 @@ def as_twin(spec: MissionSpec, twin: FlownMission, found: StrikeRecord) -> Flown
     return None
 
 
+_COUNTED = ("steps", "dropped", "malformed", "outdated", "alarms", "recomputed", "ungated")
+
+
 def can_be_proven(fault: FaultSpec | None) -> bool:
     """Whether a fault strikes one instruction that is still to be drawn in a call that is known."""
     if fault is None or fault.level != "instruction" or fault.recurs or fault.trigger is None:
@@ -119,8 +122,14 @@ def can_be_proven(fault: FaultSpec | None) -> bool:
 
 
 def has_proofs(spec: MissionSpec) -> bool:
-    """Whether a mission's nodes can run alone: in virtual time, without a detector and programs of others."""
-    return spec.clock == "lockstep" and spec.detector is None and spec.stack is None
+    """Whether a mission's nodes can run alone: in virtual time, without programs of others."""
+    return spec.clock == "lockstep" and spec.stack is None
+
+
+def may_stand_for_others(twin: FlownMission) -> bool:
+    """Whether a golden flight can be compared with: no false alarm had a node make an output again."""
+    found = twin.outcome.detection
+    return found is None or not (found.alarms or found.ungated)
 
 
 def _as(spec: MissionSpec, known: Outcome, found: StrikeRecord, by: ProofBy) -> Outcome:
@@ -144,7 +153,5 @@ def _counted_the_same(found: StrikeRecord, twin: FlownMission) -> bool:
     assert found.injection is not None  # noqa: S101 - asked before
     report: NodeReport = twin.outcome.nodes[found.injection.node]
     guards = {name: times for name, times in zip(GUARDS, counts["guards"], strict=False) if times}
-    same = all(
-        counts[name] == [getattr(report, name)] for name in ("steps", "dropped", "malformed", "outdated")
-    )
+    same = all(counts[name] == [getattr(report, name)] for name in _COUNTED)
     return same and guards == {name: times for name, times in report.guards.items() if name != "restart"}

@@ -44,7 +44,9 @@ def strike(server: ForkServer, twin: FlownMission, faults: Sequence[FaultSpec]) 
     """
     node = aimed_at(faults[0])
     spec = twin.outcome.spec.model_copy(update={"fault": FaultSpec(target=faults[0].target)})
-    task = StrikeTask(node=node, seed=spec.seed, end_ns=twin.end_ns, faults=tuple(faults))
+    task = StrikeTask(
+        node=node, seed=spec.seed, end_ns=twin.end_ns, watched=spec.detector is not None, faults=tuple(faults)
+    )
     with ExitStack() as held:
         folder = held.enter_context(mission_folder())
         setup = NodeSetups(spec, server.stack, None, folder / "no true path").of(server.stack[node])

@@ -17,9 +17,13 @@ from typing import NamedTuple, Self
 from services.bus import proxy_link
 from services.bus.horizon import NEVER_NS, Stamped, next_activation
 from services.bus.proxy_link import ANSWER, Frame, NonsenseError
+from services.bus.session import verdict_key
 from services.bus.topics import TOPICS, published_by
 
 _TOPICS = tuple(TOPICS)
+
+SOUND = ANSWER.pack(0, 0, 1)
+"""One reply, which is empty: the detector finds nothing."""
 
 
 class StrayedMessage(NamedTuple):
@@ -82,6 +86,10 @@ class RecordedBus:
         self._end_ns = end_ns
         self._inlets: list[_RecordedInlet] = []
         self._sent = {topic.name: 0 for topic in published_by(node)}
+        self._asked = 0
+        self._learning = False
+        self.questions: list[bytes] = []
+        """What the node had asked the detector in the flight, all of which was found sound."""
         self.now_ns = 0
 
     def copy(self) -> Self:
@@ -89,6 +97,12 @@ class RecordedBus:
         twin = copy(self)
         twin._inlets = [replace(one) for one in self._inlets]
         twin._sent = dict(self._sent)
+        return twin
+
+    def learning(self) -> Self:
+        """The bus as it is now, for a copy that nothing strikes: it learns what is asked of the detector."""
+        twin = self.copy()
+        twin._learning = True
         return twin
 
     def take(self, frame: Frame) -> bytes | None:
@@ -111,8 +125,19 @@ class RecordedBus:
             return ANSWER.pack(0, 0, 0)
         if kind == proxy_link.NEXT:
             return self._next(place, first)
+        if kind == proxy_link.ASK and payload.startswith(verdict_key(self._node).encode() + b"\0"):
+            return self._judge(payload.partition(b"\0")[2])
         message = f"{self._node} sends a frame of kind {kind}, which no recording answers"
         raise UnrecordedError(message)
+
+    def _judge(self, question: bytes) -> bytes:
+        """The detector's answer, which depends on nothing but what it was asked."""
+        number, self._asked = self._asked, self._asked + 1
+        if self._learning:
+            self.questions.append(question)
+        elif number >= len(self.questions) or question != self.questions[number]:
+            raise UnrecordedError("it asks the detector of another output than in the flight")
+        return SOUND
 
     def _declare(self, inputs: Sequence[str]) -> None:
         rank = published_by(self._node)[0].rank

@@ -20,12 +20,14 @@ StrikeResult = Literal["same_memory", "same_messages", "strayed", "died", "hang"
 class StrikeTask(Strict):
     """The faults to strike a node's calls with, each with a trigger that names its call, and the node's pid.
 
-    ``end_ns`` is the virtual time at which the flight ended, ``seed`` the mission's.
+    ``end_ns`` is the virtual time at which the flight ended, ``seed`` the mission's. A node that is
+    ``watched`` asks a detector, which found nothing in the flight.
     """
 
     node: str
     seed: int
     end_ns: int
+    watched: bool = False
     faults: tuple[FaultSpec, ...]
 
 

@@ -52,7 +52,7 @@ from services.bus.proxy_link import Frame, NonsenseError
 from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.runtime import rng
 from services.runtime.kernel_timer import GATE_SIGNAL
-from services.system.shared_stats import ARMED_INVOCATION_AT, PAGE_BYTES, SharedStats, counts_in
+from services.system.shared_stats import ARMED_INVOCATION_AT, NOT_ARMED, PAGE_BYTES, SharedStats, counts_in
 from services.system.signal_names import signal_name
 
 EXIT_BUG = 70
@@ -96,9 +96,13 @@ class Striker:
         self._tracees.seize([pid])
         node = CopiedNode(self._tracees, self._tracees.threads[pid], end, self._bus, HANG_S)
         left = dict(self._calls)
+        to_learn = self._task.watched
         with suppress(EndOfRecordingError):
             while True:
                 frame = node.hear()
+                if frame.kind == proxy_link.NEXT and to_learn:
+                    self._learn(node, frame)
+                    to_learn = False
                 number = int(self._stats.page["invocations"][self._place])
                 if frame.kind == proxy_link.NEXT and number in left:
                     came = yield from self._strike_next(node, frame, left[number])
@@ -115,7 +119,33 @@ class Striker:
         self, node: CopiedNode, frame: Frame, faults: Sequence[tuple[int, FaultSpec]]
     ) -> Generator[StrikeRecord, None, bool]:
         """Let a copy of the node, which waits for an answer, come to its call; whether it did at once."""
-        bus = self._bus.copy()
+        with self._copied(node, frame, self._bus.copy(), _call_of(faults[0][1])) as (copy, process, page):
+            begin_ns = _at_the_gate(copy)
+            if begin_ns is None:
+                return False
+            copy.say(OPEN_GATE)
+            copy.to_the_mark()
+            call = StruckCall(self._task, begin_ns, copy, process, page, self._forks, self._log)
+            yield from call.strike(faults)
+            return True
+
+    def _learn(self, node: CopiedNode, frame: Frame) -> None:
+        """Let a copy of the node, which waits for its first answer, go through the flight before it."""
+        bus = self._bus.learning()
+        with self._copied(node, frame, bus, NOT_ARMED) as (copy, _, __), suppress(EndOfRecordingError):
+            while True:
+                answer = bus.take(copy.hear())
+                if answer is not None:
+                    copy.say(answer)
+
+    @contextmanager
+    def _copied(
+        self, node: CopiedNode, frame: Frame, bus: RecordedBus, call: int
+    ) -> Iterator[tuple[CopiedNode, Process, int]]:
+        """A copy of the node, which waits for the answer to a frame; the copy gets it, and runs.
+
+        ``call`` is that at whose beginning it is to ask at the gate. Also where its own page is.
+        """
         answer = bus.take(frame)
         self._stop(node.thread)
         thread = self._forks.copy(node.thread)
@@ -123,20 +153,12 @@ class Striker:
         try:
             with Process(ProcessIdentity.of(thread.pid)) as process:
                 page = own_page(thread, process)
-                armed = struct.pack("<q", _call_of(faults[0][1]))
-                process.write_memory(page + ARMED_INVOCATION_AT, armed)
+                process.write_memory(page + ARMED_INVOCATION_AT, struct.pack("<q", call))
                 with own_link(thread, process, link_of(thread.pid), stack_pointer(thread)) as link:
                     copy = CopiedNode(self._tracees, thread, link, bus, HANG_S)
                     copy.say(answer or b"")
                     copy.go()
-                    begin_ns = _at_the_gate(copy)
-                    if begin_ns is None:
-                        return False
-                    copy.say(OPEN_GATE)
-                    copy.to_the_mark()
-                    call = StruckCall(self._task, begin_ns, copy, process, page, self._forks, self._log)
-                    yield from call.strike(faults)
-                    return True
+                    yield copy, process, page
         finally:
             self._forks.end(thread)
 
@@ -157,7 +179,9 @@ def _at_the_gate(copy: CopiedNode) -> int | None:
             return int(json.loads(frame.payload.partition(b"\0")[2])["virtual_time_ns"])
         if frame.kind == proxy_link.NEXT:
             return None
-        copy.bus.take(frame)
+        answer = copy.bus.take(frame)
+        if answer is not None:
+            copy.say(answer)
 
 
 def _by_call(faults: Sequence[FaultSpec]) -> Calls:

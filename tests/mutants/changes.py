@@ -1014,6 +1014,11 @@ MUTANTS: list[Mutant] = [
             "            if False:\n",
         ),
         (
+            "recorded bus: the detector finds whatever it is asked sound",
+            "elif number >= len(self.questions) or question != self.questions[number]:",
+            "elif number >= len(self.questions):",
+        ),
+        (
             "recorded bus: copies share what they have taken",
             "twin._inlets = [replace(one) for one in self._inlets]",
             "twin._inlets = self._inlets",

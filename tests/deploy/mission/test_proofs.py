@@ -15,6 +15,7 @@ from deploy.mission.golden_twin import PairFlyer
 from deploy.mission.proofs import can_be_proven
 from deploy.mission.strike_pass import strike
 from injector.strikes.results import StrikeRecord
+from services.models.detection import DetectorSpec
 from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Proof
@@ -33,13 +34,28 @@ def twin(server: ForkServer) -> FlownMission:
     return fly(SHORT, server, keep_messages=True)
 
 
-@pytest.mark.parametrize(("kernel", "call"), [("pid", 40), ("octomap", 3), ("rrt_star", 0)])
-def test_what_is_proven_is_what_is_flown(server: ForkServer, kernel: str, call: int) -> None:
+GAUSSIAN = DetectorSpec(scheme="gaussian")
+
+
+@pytest.mark.parametrize(
+    ("kernel", "call", "detector"),
+    [
+        ("pid", 40, None),
+        ("octomap", 3, None),
+        ("rrt_star", 0, None),
+        ("pid", 40, GAUSSIAN),
+        ("collision_check", 5, GAUSSIAN),
+    ],
+)
+def test_what_is_proven_is_what_is_flown(
+    server: ForkServer, kernel: str, call: int, detector: DetectorSpec | None
+) -> None:
     faults = [struck(kernel, call, seed) for seed in range(6)]
+    mission = SHORT.model_copy(update={"detector": detector})
     proving, flying = PairFlyer(server), PairFlyer(server)
     kinds = set()
     for place, fault in enumerate(faults):
-        spec = SHORT.model_copy(update={"fault": fault})
+        spec = mission.model_copy(update={"fault": fault})
         proven = proving.fly(spec, ahead=faults[place + 1 :])
         flown = flying.fly(spec)
         assert comparable(proven) == comparable(flown)

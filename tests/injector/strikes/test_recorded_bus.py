@@ -115,4 +115,21 @@ def test_what_no_node_says_is_refused() -> None:
     with pytest.raises(NonsenseError):
         bus.take(said(proxy_link.NEXT, 7))
     with pytest.raises(UnrecordedError):
-        bus.take(said(proxy_link.ASK, payload=b"verdict/control\0"))
+        bus.take(said(proxy_link.ASK, payload=b"alarm/control\0"))
+
+
+def ask(bus: RecordedBus, question: bytes) -> bytes | None:
+    return bus.take(said(proxy_link.ASK, payload=b"verdict/control\0" + question))
+
+
+def test_the_detector_answers_what_it_was_asked_in_the_flight_and_nothing_else() -> None:
+    bus = recorded()
+    learning = bus.learning()
+    assert ask(learning, b"one") == ask(learning, b"two") == ANSWER.pack(0, 0, 1)
+    twin = bus.copy()
+    assert ask(bus, b"one") == ANSWER.pack(0, 0, 1)
+    with pytest.raises(UnrecordedError, match="another output"):
+        ask(twin, b"two")
+    assert ask(bus, b"two") is not None
+    with pytest.raises(UnrecordedError, match="another output"):
+        ask(bus, b"three")
