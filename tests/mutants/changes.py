@@ -1061,7 +1061,7 @@ MUTANTS: list[Mutant] = [
         "tests/dashboard/campaigns/executors/test_dask.py",
         (
             "dask: the client's list of workers is believed",
-            'self._client.sync(cast("Any", self._client.scheduler).identity, n_workers=-1)',
+            "self._client.sync(scheduler.identity, n_workers=-1)",
             "self._client.scheduler_info(n_workers=-1)",
         ),
     ),
