@@ -26,6 +26,9 @@ SHORTEST_NS = 10_000
 CHANCES_NS = (0, 20_000, 50_000, 100_000, 200_000, 400_000, 800_000)
 """Thread time after the moment at which the trap is tried: the kernel drops it while in kernel mode."""
 
+RETRY_NS = 250_000
+"""Thread time between later tries. With much less, a loaded machine does nothing but serve the timer."""
+
 GRACE_NS = 1_000_000
 """Thread time after the moment at which a trap that has not come is not going to."""
 
@@ -85,10 +88,10 @@ class ThreadTimer:
         return int.from_bytes(os.read(self._descriptors[0], 8), "little")
 
     def insist(self) -> None:
-        """Once no chance is left, have every 10 us of thread time tried until the trap comes."""
+        """Once no chance is left, have it tried again and again until the trap comes."""
         if not self._insisted and self.spent_ns > self._moment_ns + GRACE_NS:
             self._insisted = True
-            fcntl.ioctl(self._descriptors[0], _IOC_PERIOD, struct.pack("=Q", SHORTEST_NS))
+            fcntl.ioctl(self._descriptors[0], _IOC_PERIOD, struct.pack("=Q", RETRY_NS))
 
     def close(self) -> None:
         """Close the timer, whether its trap came or not; a trap may still be under way."""

@@ -6,7 +6,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Literal
 
@@ -163,6 +165,24 @@ def test_system_calls_are_never_flipped_and_never_disturbed() -> None:
             assert target.general()["rax"] == target.pid
         assert set(struck) <= {"mov rbx,rcx", "not_activated"}
         assert "mov rbx,rcx" in struck
+
+
+def strike_in_a_hurry(seed: int) -> int:
+    """Strike a program that hardly leaves the kernel many times; how often."""
+    struck = 0
+    with running(assemble([MOVE, *GETPID])) as target:
+        for number in range(600):
+            target.start()
+            record = inject(target, [], fault(), seed + number)
+            struck += record.status == "injected"
+            target.finish()
+    return struck
+
+
+@pytest.mark.soak
+def test_the_trap_comes_on_a_loaded_machine_too() -> None:
+    with ProcessPoolExecutor(4, get_context("spawn")) as several:
+        assert all(several.map(strike_in_a_hurry, range(0, 4000, 1000)))
 
 
 def test_a_program_in_system_calls_all_the_time_is_given_up() -> None:
