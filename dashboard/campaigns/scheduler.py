@@ -18,8 +18,8 @@ from deploy.recording.snapshot import FlightSnapshot
 from services.models.outcome import Outcome
 
 POLL_S = 0.25
-GROUP = 64
-"""Most runs of one golden twin that are leased at a time."""
+GROUP = 512
+"""Most runs of one golden twin that are leased at a time; what their strikes share is made once a lease."""
 
 Write = Callable[[CampaignStates, Sequence[int], Mapping[int, Outcome]], None]
 

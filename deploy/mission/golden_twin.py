@@ -22,6 +22,7 @@ from deploy.mission.proofs import FlightProofs, as_twin, can_be_proven, has_proo
 from deploy.recording.live_feed import LiveFeed
 from deploy.recording.mcap_recorder import McapRecorder, MessageTap
 from deploy.recording.propagation import propagation
+from injector.strikes.results import StrikeRecord
 from services.bus.topics import RECORDED, published_by
 from services.kernels import aimed_at
 from services.models.faults.specification import FaultSpec, Trigger
@@ -94,7 +95,7 @@ class PairFlyer:
         flight = as_twin(spec, twin, found)
         if flight is not None:
             return compare(flight, twin)
-        flown = self._fly(spec)
+        flown = self._fly(_where_it_struck(spec, found))
         require_drawn_instruction(spec, flown.outcome.injection)
         outcome = compare(flown, twin)
         self.proofs.keep(spec, outcome, found)
@@ -128,6 +129,15 @@ def _at_a_call(fault: FaultSpec, twin: FlownMission) -> FaultSpec:
     if fault.trigger is not None and fault.trigger.names_a_call:
         return fault
     return fault.model_copy(update={"trigger": draw_call(fault, twin.outcome)})
+
+
+def _where_it_struck(spec: MissionSpec, found: StrikeRecord) -> MissionSpec:
+    """The mission with the instruction that the node alone was struck at: it need not be drawn again."""
+    assert spec.fault is not None  # noqa: S101 - it was struck with
+    if found.injection is None or found.injection.status != "injected":
+        return spec
+    fault = spec.fault.model_copy(update={"trigger": found.injection.trigger})
+    return spec.model_copy(update={"fault": fault})
 
 
 def _require_no_death(golden: Outcome) -> None:

@@ -33,16 +33,20 @@ class WorkerOrder(Strict):
 
 
 def with_faults_ahead(orders: Sequence[WorkerOrder]) -> list[WorkerOrder]:
-    """Orders for one worker, each with the faults of those behind it that have the same golden twin."""
-    twins = [one.spec.model_copy(update={"fault": None}).model_dump_json() for one in orders]
-    found = []
+    """Orders for one worker, to be proven where they can be.
+
+    The first that aims at a kernel of a golden twin tells the faults of those behind it that do, too.
+    """
+    ahead: dict[tuple[str, str], list[FaultSpec]] = {}
+    first: dict[tuple[str, str], int] = {}
     for place, order in enumerate(orders):
-        behind = zip(orders[place + 1 :], twins[place + 1 :], strict=True)
-        ahead = tuple(
-            one.spec.fault for one, twin in behind if twin == twins[place] and one.spec.fault is not None
-        )
-        found.append(order.model_copy(update={"ahead": ahead}))
-    return found
+        fault = order.spec.fault
+        if fault is not None:
+            subject = order.spec.model_copy(update={"fault": None}).model_dump_json(), fault.target
+            if first.setdefault(subject, place) != place:
+                ahead.setdefault(subject, []).append(fault)
+    told = {place: tuple(ahead.get(subject, ())) for subject, place in first.items()}
+    return [order.model_copy(update={"ahead": told.get(place, ())}) for place, order in enumerate(orders)]
 
 
 class WorkerAnswer(Strict):

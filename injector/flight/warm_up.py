@@ -24,7 +24,7 @@ TIMES = 5
 
 def warm_up_on_a_fork(fault: FaultSpec) -> None:
     """Do all but the flip to a fork of this process, and end it. Only while there is no other thread."""
-    nothing = FaultSpec(target=fault.target, model="none")
+    nothing = FaultSpec(target=fault.target, model="none", scope="thread")  # the fork runs no kernel
     own = os.getpid()
     pid = os.fork()
     if not pid:
