@@ -97,13 +97,17 @@ def difference(one: CopyState, other: CopyState, root: Process) -> str:
     same = (one.registers, one.extents) == (other.registers, other.extents)
     if not same:
         told.update(repr((one.registers, one.extents)).encode())
-    stack = root.maps().at(one.stack_pointer)
+    maps = root.maps()
+    stack = maps.at(one.stack_pointer)
     assert stack is not None  # noqa: S101 - it stands there
     rseq = one.registers[_THREAD] + _rseq_offset()
 
     def content(state: CopyState, page: int) -> bytes:
         own = state.pages.get(page)
-        return root.read_memory(page, _PAGE) if own is None else own
+        if own is not None:
+            return own
+        # What the other copy alone has, the extents tell. To read it in the root might have its stack grow.
+        return b"" if maps.at(page) is None else root.read_memory(page, _PAGE)
 
     for page in sorted({*one.pages, *other.pages}):
         begin = 0

@@ -98,6 +98,18 @@ def test_memory_below_the_stack_is_nobodys(one: Standing) -> None:
     assert told(one, seen(one, end - 127, b"\xa5"), golden)
 
 
+def test_a_stack_that_has_grown_in_one_alone_tells(one: Standing) -> None:
+    golden = seen(one)
+    with at_the_end(one) as (copy, process):
+        stack = process.maps().at(stack_pointer(copy))
+    assert stack is not None
+    grown = seen(one, stack.start - 8, b"\xa5")
+    assert grown.extents != golden.extents
+    assert told(one, grown, golden) != ""
+    assert told(one, golden, grown) != ""
+    assert told(one, seen(one), golden) == "", "the root's stack has grown"
+
+
 @pytest.mark.parametrize(
     ("register", "tells"), [("rbx", True), ("r15", True), ("rcx", False), ("xmm7", False)]
 )
