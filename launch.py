@@ -44,8 +44,13 @@ as it goes, the others whole when all have ended."""
 PARTS = (
     ["tests/dashboard", "--ignore=tests/dashboard/web"],
     ["tests/dashboard/web", "tests/injector"],
-    ["tests/deploy/mission"],
-    ["--ignore=tests/dashboard", "--ignore=tests/injector", "--ignore=tests/deploy/mission"],
+    ["tests/deploy/mission", "tests/deploy/pairing"],
+    [
+        "--ignore=tests/dashboard",
+        "--ignore=tests/injector",
+        "--ignore=tests/deploy/mission",
+        "--ignore=tests/deploy/pairing",
+    ],
 )
 """What is added for processes to run all of the gate's tests side by side, each for about as long.
 

@@ -38,7 +38,7 @@ from dashboard.campaigns.store.listing import (
     RunQuery,
     StoredRun,
 )
-from deploy.mission.replay import Replay
+from deploy.pairing.replay import Replay
 from deploy.recording.snapshot import FlightSnapshot
 from services.models.base import Strict
 from services.models.faults.specification import FaultSpec

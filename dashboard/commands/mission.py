@@ -18,7 +18,7 @@ from deploy.config.definitions import inlined
 from deploy.doctor import examine
 from deploy.errors import BadSpecError, InfrastructureError
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.pairing.golden_twin import PairFlyer
 from services.models.mission import MissionSpec
 
 

@@ -19,8 +19,8 @@ from dashboard.campaigns.store.store import Store
 from dashboard.terminal.injected_flights import of_campaign, of_file
 from dashboard.terminal.options import as_json, in_store
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.replay import ANSWERS, REPEATED, ReplayAnswer
-from deploy.mission.replay import replay as fly_again
+from deploy.pairing.replay import ANSWERS, REPEATED, ReplayAnswer
+from deploy.pairing.replay import replay as fly_again
 from services.models.outcome import Outcome
 
 

@@ -8,7 +8,7 @@ from dashboard.campaigns.store.database import StoreError
 from deploy.compose.folder import StackError
 from deploy.errors import BadSpecError, InfrastructureError, one_line
 from deploy.mission.fork_server import ForkServerError
-from deploy.mission.golden_twin import NothingToInjectError
+from deploy.pairing.golden_twin import NothingToInjectError
 from detector.errors import DetectionInputError
 
 BAD_INPUT = (BadSpecError, NothingToInjectError, DetectionInputError, StackError)

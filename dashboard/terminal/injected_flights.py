@@ -13,7 +13,7 @@ from dashboard.campaigns.store.listing import stored_run
 from dashboard.campaigns.store.store import Store
 from deploy.config.check import check
 from deploy.errors import BadSpecError, one_line
-from deploy.mission.replay import refusal
+from deploy.pairing.replay import refusal
 from services.models.outcome import Outcome
 
 _NOT_OURS = "not what zenfi fly, campaign run or campaign resume writes with --json"

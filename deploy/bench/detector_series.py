@@ -11,7 +11,7 @@ import numpy as np
 
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import compare, draw_call
+from deploy.pairing.golden_twin import compare, draw_call
 from detector.series.monitored_states import WATCHED
 from detector.series.series import Checks, Series
 from services.bus.arrays import Floats, plan, state, verdict

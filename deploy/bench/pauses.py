@@ -14,7 +14,7 @@ from collections.abc import Callable
 import numpy as np
 
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.pairing.golden_twin import PairFlyer
 from injector.tracing.tracees import TraceeGroup
 from services.models.base import Strict
 from services.models.detection import DetectorSpec

@@ -16,7 +16,7 @@ import threading
 
 from deploy.errors import DisturbedFlightError, InfrastructureError
 from deploy.mission.fork_server import ForkServer, ForkServerError
-from deploy.mission.golden_twin import NothingToInjectError, PairFlyer
+from deploy.pairing.golden_twin import NothingToInjectError, PairFlyer
 from deploy.recording.flight_status import FlightStatus, current_status
 from deploy.recording.recorder import FlightRecorder
 from deploy.recording.snapshot import SNAPSHOTS_PER_S, FlightSnapshot, current_snapshot

@@ -14,7 +14,7 @@ import numpy as np
 
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import draw_call
+from deploy.pairing.golden_twin import draw_call
 from deploy.recording.flight_status import series
 from detector.schemes.registry import with_models
 from services.bus.horizon import Stamped

@@ -15,7 +15,7 @@ from contextlib import closing
 from typing import Any
 
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.pairing.golden_twin import PairFlyer
 from services.kernels import KERNELS
 from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec

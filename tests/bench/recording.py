@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.pairing.golden_twin import PairFlyer
 from services.models.mission import MissionSpec
 
 

@@ -18,7 +18,7 @@ from dashboard.campaigns.spec import Run
 from deploy.bench.detector_series import series
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer, draw_call
+from deploy.pairing.golden_twin import PairFlyer, draw_call
 from detector.schemes.registry import load_detector, with_models
 from detector.series.changes import followed
 from detector.series.monitored_states import WATCHED

@@ -10,8 +10,8 @@ import sys
 
 from dashboard.terminal.options import parse_fault
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
-from deploy.mission.replay import refusal, replay
+from deploy.pairing.golden_twin import PairFlyer
+from deploy.pairing.replay import refusal, replay
 from services.models.mission import MissionSpec
 
 FAULTS = (

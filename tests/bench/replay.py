@@ -8,8 +8,8 @@ import sys
 from collections import Counter
 
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
-from deploy.mission.replay import replay
+from deploy.pairing.golden_twin import PairFlyer
+from deploy.pairing.replay import replay
 from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.pairing.golden_twin import PairFlyer
 from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 

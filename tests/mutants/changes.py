@@ -1025,8 +1025,8 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
-        "deploy/mission/proofs.py",
-        "tests/deploy/mission/test_proofs.py",
+        "deploy/pairing/proofs.py",
+        "tests/deploy/pairing/test_proofs.py",
         (
             "proofs: a node that strayed proves the twin's outcome",
             'found.result == "same_messages" and _counted',

@@ -20,7 +20,7 @@ from dashboard.campaigns.commands import ConflictError
 from deploy.errors import BadSpecError, InfrastructureError
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.replay import replay
+from deploy.pairing.replay import replay
 from deploy.recording.flight_status import FlightStatus, series
 from deploy.recording.mcap_recorder import McapRecorder
 from services.models.base import Strict

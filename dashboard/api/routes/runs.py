@@ -20,7 +20,7 @@ from dashboard.campaigns.store.listing import (
 )
 from dashboard.campaigns.store.queries import Campaign
 from deploy.errors import BadSpecError
-from deploy.mission.replay import Replay
+from deploy.pairing.replay import Replay
 from services.models.outcome import InjectionRecord, Outcome
 
 router = APIRouter(prefix="/campaigns/{label}/runs", tags=["runs"], responses=documented(404, 422))

@@ -16,7 +16,7 @@ from dashboard.campaigns.spec import CampaignSpec, cells, load_campaign, runs
 from dashboard.campaigns.store.store import Store
 from deploy.errors import BadSpecError
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.pairing.golden_twin import PairFlyer
 from services.models.world import BoxWorld, ClusteredWorld, GridWorld
 from tests.dashboard.command import zenfi
 

@@ -17,7 +17,7 @@ from websockets.typing import Subprotocol
 
 from dashboard.analysis.recordings_reader import open_run
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.pairing.golden_twin import PairFlyer
 from deploy.recording.live_feed import END, LONGEST_BYTES, SOCKET, LiveFeedReader, MalformedFeedError
 from services.bus.messages import TYPESTORE
 from services.models.mission import Limits

@@ -14,8 +14,8 @@ from deploy.errors import BadSpecError
 from deploy.mission import flight
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
-from deploy.mission.replay import replay
+from deploy.pairing.golden_twin import PairFlyer
+from deploy.pairing.replay import replay
 from detector.schemes.model_files import BadModelError
 from detector.schemes.registry import MODELS, with_models
 from services.bus.topics import STAGES

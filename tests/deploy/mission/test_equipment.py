@@ -5,8 +5,8 @@ import pytest
 from deploy.config.check import check
 from deploy.errors import BadSpecError
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
-from deploy.mission.replay import replay
+from deploy.pairing.golden_twin import PairFlyer
+from deploy.pairing.replay import replay
 from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome

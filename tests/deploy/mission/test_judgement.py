@@ -3,7 +3,7 @@
 import pytest
 
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.pairing.golden_twin import PairFlyer
 from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 from services.models.oracles.properties import SIGNALS

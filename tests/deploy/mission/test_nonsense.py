@@ -11,7 +11,7 @@ from deploy.config.processes import STACK
 from deploy.errors import DisturbedFlightError
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.pairing.golden_twin import PairFlyer
 from services.bus.horizon import Stamped
 from services.bus.messages import decode
 from services.bus.topics import TOPICS

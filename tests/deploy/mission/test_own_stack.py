@@ -11,7 +11,7 @@ from deploy.config.processes import STACK
 from deploy.errors import BadSpecError, InfrastructureError
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.pairing.golden_twin import PairFlyer
 from injector.tracing.symbols import demangled
 from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec

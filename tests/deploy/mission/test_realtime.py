@@ -4,7 +4,7 @@ import pytest
 
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.pairing.golden_twin import PairFlyer
 from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from services.models.world import BoxWorld

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from dashboard.analysis.recordings_reader import open_run
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
+from deploy.pairing.golden_twin import PairFlyer
 from deploy.recording import visualization
 from deploy.recording.ordering import TYPES
 from services.bus.topics import RECORDED, TICK_NS
@@ -183,7 +183,7 @@ def test_a_killed_flight_leaves_what_was_written(tmp_path: Path, flights: dict[s
     script = (
         "from pathlib import Path\n"
         "from deploy.mission.fork_server import ForkServer\n"
-        "from deploy.mission.golden_twin import PairFlyer\n"
+        "from deploy.pairing.golden_twin import PairFlyer\n"
         "from tests.dashboard.recorded import GOLDEN\n"
         f"PairFlyer(ForkServer()).fly(GOLDEN, Path({str(path)!r}))\n"
     )

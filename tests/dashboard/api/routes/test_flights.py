@@ -4,7 +4,7 @@ import pytest
 
 from dashboard.api.routes.flights import FlightInfo
 from dashboard.client import Client, RequestRefusedError
-from deploy.mission.replay import Replay
+from deploy.pairing.replay import Replay
 from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 

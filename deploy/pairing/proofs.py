@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 from deploy.mission.flight import FlownMission
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.strike_pass import strike
-from deploy.recording.flown_outcomes import FlownOutcomes
+from deploy.pairing.flown_outcomes import FlownOutcomes
+from deploy.pairing.strike_pass import strike
 from injector.strikes.results import StrikeRecord
 from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec

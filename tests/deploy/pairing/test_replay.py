@@ -13,9 +13,9 @@ from dashboard.cli import zenfi
 from deploy.errors import DisturbedFlightError
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
-from deploy.mission.replay import compare, replay
 from deploy.mission.setups import armed_call, spec_for_stages
+from deploy.pairing.golden_twin import PairFlyer
+from deploy.pairing.replay import compare, replay
 from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome

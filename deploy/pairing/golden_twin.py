@@ -18,7 +18,7 @@ from deploy.errors import DisturbedFlightError
 from deploy.mission.flight import FlownMission, Watch, fly
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.judgement import judge_harm, judge_properties
-from deploy.mission.proofs import FlightProofs, as_twin, can_be_proven, has_proofs, may_stand_for_others
+from deploy.pairing.proofs import FlightProofs, as_twin, can_be_proven, has_proofs, may_stand_for_others
 from deploy.recording.live_feed import LiveFeed
 from deploy.recording.mcap_recorder import McapRecorder, MessageTap
 from deploy.recording.propagation import propagation

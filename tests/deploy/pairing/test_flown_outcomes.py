@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deploy.recording import flown_outcomes
-from deploy.recording.flown_outcomes import FlownOutcomes
+from deploy.pairing import flown_outcomes
+from deploy.pairing.flown_outcomes import FlownOutcomes
 from services.models.mission import MissionSpec
 from services.models.outcome import NO_FLIGHT, Outcome
 

@@ -11,9 +11,9 @@ import pytest
 from deploy.errors import DisturbedFlightError
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer
-from deploy.mission.proofs import can_be_proven
-from deploy.mission.strike_pass import strike
+from deploy.pairing.golden_twin import PairFlyer
+from deploy.pairing.proofs import can_be_proven
+from deploy.pairing.strike_pass import strike
 from injector.strikes.results import StrikeRecord
 from services.models.detection import DetectorSpec
 from services.models.faults.specification import FaultSpec, Site, Trigger

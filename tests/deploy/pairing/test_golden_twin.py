@@ -4,7 +4,7 @@ import pytest
 
 from deploy.errors import DisturbedFlightError
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.golden_twin import PairFlyer, draw_call, require_drawn_instruction
+from deploy.pairing.golden_twin import PairFlyer, draw_call, require_drawn_instruction
 from services.kernels import KERNELS
 from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.mission import Limits, MissionSpec
