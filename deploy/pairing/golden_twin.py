@@ -18,6 +18,7 @@ from deploy.errors import DisturbedFlightError
 from deploy.mission.flight import FlownMission, Watch, fly
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.judgement import judge_harm, judge_properties
+from deploy.pairing.idle_guards import IdleGuards
 from deploy.pairing.proofs import FlightProofs, as_twin, can_be_proven, has_proofs, may_stand_for_others
 from deploy.recording.live_feed import LiveFeed
 from deploy.recording.mcap_recorder import McapRecorder, MessageTap
@@ -29,6 +30,7 @@ from services.models.faults.specification import FaultSpec, Trigger
 from services.models.inter_kernel_states import members
 from services.models.mission import MissionSpec
 from services.models.outcome import GoldenTwin, InjectionRecord, NodeReport, Outcome
+from services.models.pilots import GUARDS, GuardName
 from services.runtime import rng
 
 TWINS_KEPT = 16
@@ -47,6 +49,7 @@ class PairFlyer:
         self._live: Path | None = None
         self._twins: OrderedDict[str, FlownMission] = OrderedDict()
         self.proofs = FlightProofs(server)
+        self.idle_guards = IdleGuards(self.proofs.flown, server)
 
     def fly(
         self,
@@ -72,6 +75,10 @@ class PairFlyer:
             with McapRecorder(record, spec, about) as recording:
                 return _with_report(self._golden(spec, recording), recording).outcome
         may_prove = ahead is not None and record is None and has_proofs(spec)
+        asked = spec
+        known = self.idle_guards.known(asked) if may_prove else None
+        if known is not None:
+            return known
         twin = self._golden(spec.model_copy(update={"fault": None}), keep=record is not None or may_prove)
         fault = _at_a_call(spec.fault, twin)
         spec = spec.model_copy(update={"fault": fault})
@@ -83,7 +90,10 @@ class PairFlyer:
             with McapRecorder(record, spec, about) as recording:
                 flown = _with_report(self._fly(spec, recording), recording)
         require_drawn_instruction(spec, flown.outcome.injection)
-        return compare(flown, twin)
+        outcome = compare(flown, twin)
+        if may_prove:
+            self.idle_guards.keep(asked, outcome)
+        return outcome
 
     def _proven_or_flown(self, spec: MissionSpec, twin: FlownMission, ahead: Sequence[FaultSpec]) -> Outcome:
         """The outcome of a fault: known by what the fault does to its node alone, or flown."""
@@ -214,6 +224,10 @@ def _drawn(fault: FaultSpec, golden: Outcome, draw: np.random.Generator, times: 
     return wanted.model_copy(update=moment)
 
 
+def _acted(golden: Outcome, guard: GuardName) -> bool:
+    return any(report.guards.get(guard) for report in golden.nodes.values())
+
+
 def compare(flight: FlownMission, twin: FlownMission) -> Outcome:
     """The faulty flight's outcome compared with its golden twin: divergence, benign or SDC, and harm.
 
@@ -241,7 +255,12 @@ def compare(flight: FlownMission, twin: FlownMission) -> Outcome:
         update={
             "topics": topics,
             "nodes": {stage: judged(stage, report) for stage, report in flight.outcome.nodes.items()},
-            "golden": GoldenTwin(result=golden.result, qof=golden.qof, digest=golden.digest),
+            "golden": GoldenTwin(
+                result=golden.result,
+                qof=golden.qof,
+                digest=golden.digest,
+                guards=tuple(name for name in GUARDS if _acted(golden, name)),
+            ),
             "propagation": passed_on,
             "harm": judge_harm(outcome, golden, flight.end_ns),
         }

@@ -209,7 +209,7 @@ class RecordingReport(Strict):
     problem: str = Field(default="", description="why the file is not complete, as the system says")
 
 
-ProofBy = Literal["same_memory", "same_messages", "same_state", "same_death"]
+ProofBy = Literal["same_memory", "same_messages", "same_state", "same_death", "idle_guards"]
 
 
 class Proof(Strict):
@@ -218,6 +218,7 @@ class Proof(Strict):
     ``same_memory``: after the call its memory was that of an unstruck copy. ``same_messages``: it sent what
     it had sent in the golden twin, to the end. ``same_state``: after the call its memory was that in a flight
     that was flown. ``same_death``: within the call it died as it did in a flight that was flown.
+    ``idle_guards``: the fault, in a message, was flown with guards of which those now off did nothing.
     """
 
     by: ProofBy
@@ -230,6 +231,7 @@ class Proof(Strict):
             "same_messages": "to the end, messages as in the golden twin",
             "same_state": "after the call, memory as in a flight that was flown",
             "same_death": "in the call, the death of a flight that was flown",
+            "idle_guards": "flown with other guards, which did nothing",
         }[self.by]
 
 
@@ -267,3 +269,4 @@ class GoldenTwin(Strict):
     result: MissionResult
     qof: QoF
     digest: str
+    guards: tuple[GuardName, ...] = Field(default=(), description="those that acted in it")
