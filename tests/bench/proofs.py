@@ -71,8 +71,9 @@ def compared(server: ForkServer, kernel: str, world: str, count: int, seed: int)
         first, second = comparable(proven), comparable(flown)
         differ = [name for name in first if first[name] != second[name]]
         same += not differ
-        if differ:
-            print(f"{kernel} {world} {fault.seed}: {proven.proof}: {differ} differ", flush=True)
+        for name in differ:
+            print(f"{kernel} {world} {fault.seed}, {proven.proof}, {name}:", flush=True)
+            print(f"  proven: {first[name]}\n  flown:  {second[name]}", flush=True)
     ends.update(f"struck {found.result}" for found in proving.proofs.strikes)
     return ends, same
 
