@@ -30,7 +30,7 @@ from services.models.faults.specification import FaultSpec, Trigger
 from services.models.inter_kernel_states import members
 from services.models.mission import MissionSpec
 from services.models.outcome import GoldenTwin, InjectionRecord, NodeReport, Outcome
-from services.models.pilots import GUARDS, GuardName
+from services.models.pilots import GUARDS
 from services.runtime import rng
 
 TWINS_KEPT = 16
@@ -75,7 +75,7 @@ class PairFlyer:
             with McapRecorder(record, spec, about) as recording:
                 return _with_report(self._golden(spec, recording), recording).outcome
         may_prove = ahead is not None and record is None and has_proofs(spec)
-        asked = spec
+        asked = spec  # before its call is drawn
         known = self.idle_guards.known(asked) if may_prove else None
         if known is not None:
             return known
@@ -224,10 +224,6 @@ def _drawn(fault: FaultSpec, golden: Outcome, draw: np.random.Generator, times: 
     return wanted.model_copy(update=moment)
 
 
-def _acted(golden: Outcome, guard: GuardName) -> bool:
-    return any(report.guards.get(guard) for report in golden.nodes.values())
-
-
 def compare(flight: FlownMission, twin: FlownMission) -> Outcome:
     """The faulty flight's outcome compared with its golden twin: divergence, benign or SDC, and harm.
 
@@ -259,7 +255,7 @@ def compare(flight: FlownMission, twin: FlownMission) -> Outcome:
                 result=golden.result,
                 qof=golden.qof,
                 digest=golden.digest,
-                guards=tuple(name for name in GUARDS if _acted(golden, name)),
+                guards=tuple(name for name in GUARDS if name in golden.acting_guards),
             ),
             "propagation": passed_on,
             "harm": judge_harm(outcome, golden, flight.end_ns),

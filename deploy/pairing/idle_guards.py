@@ -64,7 +64,7 @@ class IdleGuards:
 def _acted(outcome: Outcome) -> frozenset[GuardName]:
     """The guards that have changed anything, in a flight or in its golden twin."""
     assert outcome.golden is not None  # noqa: S101 - flown beside it
-    acted = {name for report in outcome.nodes.values() for name, times in report.guards.items() if times}
+    acted = set(outcome.acting_guards)
     if any(report.crashes or report.hangs for report in outcome.nodes.values()):
         acted.add("restart")
     return ALWAYS & outcome.spec.active_guards | acted | set(outcome.golden.guards)

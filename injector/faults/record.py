@@ -9,8 +9,13 @@ from typing import Any
 from injector.faults.stopped_thread import InjectionResult
 from injector.tracing.elf import CodeLocation
 from services.kernels import scope_of
-from services.models.faults.specification import FaultSpec
+from services.models.faults.specification import FaultSpec, Site
 from services.models.outcome import InjectionRecord
+
+
+def exact_site(where: CodeLocation, hit: int) -> Site:
+    """The dynamic instruction that was drawn: the ``hit``-th pass through a place."""
+    return Site(precision="exact", module=where.module, build_id=where.build_id, offset=where.offset, hit=hit)
 
 
 def record_of(

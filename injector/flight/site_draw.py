@@ -21,6 +21,7 @@ from injector.block_profile.instruction_counts import (
     way_from_the_beginning,
 )
 from injector.faults.call_profile import CallProfile, counted_call
+from injector.faults.record import exact_site
 from injector.flight.probe import ProbeRun
 from injector.tracing.compiled_functions import compiled_functions
 from injector.tracing.elf import place
@@ -66,14 +67,7 @@ def _draw(
         executed, scope = profile.counts.executed, scope_of(fault)
         message = f"none of the call's {executed} instructions in scope {scope} is eligible"
         raise NothingEligibleError(message)
-    there = profile.places.at(drawn.address)
-    site = Site(
-        precision="exact",
-        module=there.module,
-        build_id=there.build_id,
-        offset=there.offset,
-        hit=drawn.hit,
-    )
+    site = exact_site(profile.places.at(drawn.address), drawn.hit)
     return drawn, site, profile.counts.leaders
 
 

@@ -22,7 +22,7 @@ from injector.block_profile.counted_call import UncountableError
 from injector.block_profile.instruction_counts import draw_instruction
 from injector.faults.apply import apply_fault
 from injector.faults.call_profile import CallProfile
-from injector.faults.record import record_of
+from injector.faults.record import exact_site, record_of
 from injector.faults.stopped_thread import InjectionResult
 from injector.kernel_study.checkpoints import CheckpointRun, SamplePoint
 from injector.kernel_study.remote_fork import RemoteForkError, RemoteForks
@@ -34,7 +34,7 @@ from injector.tracing.ptrace import GoneError, StopReport, wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from services.models.base import Strict
-from services.models.faults.specification import FaultSpec, Site, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.outcome import InjectionRecord
 from services.runtime import rng
 from services.system.signal_names import signal_name
@@ -299,15 +299,7 @@ class SubjectInjector:
     # -- what is told of it ------------------------------------------------------------------------
 
     def _trigger(self, point: SamplePoint) -> Trigger:
-        where = self._places.at(point.address)
-        site = Site(
-            precision="exact",
-            module=where.module,
-            build_id=where.build_id,
-            offset=where.offset,
-            hit=point.hit,
-        )
-        return Trigger(invocation=0, site=site)
+        return Trigger(invocation=0, site=exact_site(self._places.at(point.address), point.hit))
 
     def _record(self, fault: FaultSpec, found: InjectionResult) -> InjectionRecord:
         assert fault.trigger is not None  # noqa: S101 - made above

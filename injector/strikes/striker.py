@@ -20,7 +20,7 @@ from pathlib import Path
 from injector.block_profile.counted_call import UncountableError
 from injector.faults.apply import apply_fault
 from injector.faults.call_profile import CallProfile
-from injector.faults.record import record_of
+from injector.faults.record import exact_site, record_of
 from injector.faults.stopped_thread import InjectionResult
 from injector.flight.fingerprint import fingerprint_of
 from injector.flight.injection import POINTER_BITS
@@ -49,7 +49,7 @@ from injector.tracing.tracees import TraceeGroup
 from services.bus import proxy_link
 from services.bus.horizon import Stamped
 from services.bus.proxy_link import Frame, NonsenseError
-from services.models.faults.specification import FaultSpec, Site, Trigger
+from services.models.faults.specification import FaultSpec, Trigger
 from services.runtime import rng
 from services.runtime.kernel_timer import GATE_SIGNAL
 from services.system.shared_stats import ARMED_INVOCATION_AT, NOT_ARMED, PAGE_BYTES, SharedStats, counts_in
@@ -263,16 +263,8 @@ class StruckCall:
             found = apply_fault(self._node.tracees, copy.thread, process, fault, draw)
             if found is None:
                 found = InjectionResult("not_activated", "the site is a system call")
-            where = place(process.pid, maps, point.address, self._compiled)
-            site = Site(
-                precision="exact",
-                module=where.module,
-                build_id=where.build_id,
-                offset=where.offset,
-                hit=point.hit,
-                way=None if way is None else waypoint(process, way),
-                **asdict(seen),
-            )
+            site = exact_site(place(process.pid, maps, point.address, self._compiled), point.hit)
+            found_there = {"way": None if way is None else waypoint(process, way), **asdict(seen)}
             record = record_of(
                 found,
                 fault,
@@ -281,7 +273,7 @@ class StruckCall:
                 invocation=_call_of(fault),
                 location=lambda address: place(process.pid, maps, address, self._compiled),
                 precision="exact",
-                trigger=Trigger(invocation=_call_of(fault), site=site),
+                trigger=Trigger(invocation=_call_of(fault), site=site.model_copy(update=found_there)),
                 points_into=pointers.target(found.before) if found.width_bits == POINTER_BITS else "",
                 virtual_time_ns=self._begin_ns,
                 threads_stopped=1,

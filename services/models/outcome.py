@@ -218,7 +218,7 @@ class Proof(Strict):
     ``same_memory``: after the call its memory was that of an unstruck copy. ``same_messages``: it sent what
     it had sent in the golden twin, to the end. ``same_state``: after the call its memory was that in a flight
     that was flown. ``same_death``: within the call it died as it did in a flight that was flown.
-    ``idle_guards``: the fault, in a message, was flown with guards of which those now off did nothing.
+    ``idle_guards``: the fault, in a message, was flown with these guards and others that did nothing.
     """
 
     by: ProofBy
@@ -261,6 +261,11 @@ class Outcome(Strict):
     )
     fixed_pids: bool = Field(default=False, description="nodes had the pids that they have in every flight")
     proof: Proof | None = Field(default=None, description="of an outcome that was proven, not flown")
+
+    @property
+    def acting_guards(self) -> frozenset[GuardName]:
+        """The guards that acted in any node."""
+        return frozenset(name for node in self.nodes.values() for name, times in node.guards.items() if times)
 
 
 class GoldenTwin(Strict):
