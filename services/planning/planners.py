@@ -112,33 +112,36 @@ def _search(
         bounds.setLow(axis, float(low[axis]))
         bounds.setHigh(axis, float(high[axis]))
     space.setBounds(bounds)
-    setup = geometric.SimpleSetup(space)
-    information = setup.getSpaceInformation()
+    # Not OMPL's SimpleSetup: it keeps how long its planner took, a clock reading in the node's memory.
+    information = base.SpaceInformation(space)
     validator = _EdgeValidator(information, grid, limit)
     information.setMotionValidator(validator)
-    setup.setStateValidityChecker(validator.state_clear)
+    information.setStateValidityChecker(validator.state_clear)
+    information.setup()
     objective = base.PathLengthOptimizationObjective(information)
     objective.setCostThreshold(base.Cost(GOOD_ENOUGH * float(np.linalg.norm(ends[1] - ends[0]))))
-    setup.setOptimizationObjective(objective)
+    problem = base.ProblemDefinition(information)
+    problem.setOptimizationObjective(objective)
     states = (space.allocState(), space.allocState())
     for state, point in zip(states, ends, strict=True):
         for axis in range(3):
             state[axis] = float(point[axis])
-    setup.setStartAndGoalStates(*states)
+    problem.setStartAndGoalStates(*states)
     algorithm = PLANNERS[planner](information)
-    setup.setPlanner(algorithm)
+    algorithm.setProblemDefinition(problem)
     if isinstance(algorithm, geometric.PRMstar):
-        setup.setup()
+        algorithm.setup()
         found = shortest(algorithm, information, *ends, validator.clear, iterations)
         return None if found is None else found / _METRIC
     algorithm.setRange(EDGE_M)
     if isinstance(algorithm, geometric.RRTstar):
         algorithm.setFocusSearch(True)  # only where the path that it has could still be shortened
+    algorithm.setup()
     budget = _Budget(iterations)
-    setup.solve(base.PlannerTerminationCondition(budget.spent))
-    if not setup.haveExactSolutionPath():
+    algorithm.solve(base.PlannerTerminationCondition(budget.spent))
+    if not problem.hasExactSolution():
         return None
-    path = setup.getSolutionPath()
+    path = problem.getSolutionPath()
     corners = [path.getState(i) for i in range(path.getStateCount())]
     return np.array([[state[axis] for axis in range(3)] for state in corners]) / _METRIC
 

@@ -15,6 +15,7 @@ from deploy.pairing.golden_twin import PairFlyer
 from deploy.pairing.proofs import can_be_proven
 from deploy.pairing.strike_pass import strike
 from injector.strikes.results import StrikeRecord
+from services.kernels import KERNELS, PLANNERS
 from services.models.detection import DetectorSpec
 from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.mission import Limits, MissionSpec
@@ -64,9 +65,15 @@ def test_what_is_proven_is_what_is_flown(
     assert not forked(server.pid)
 
 
-def test_of_a_fault_without_a_flip_the_memory_is_the_same(server: ForkServer, twin: FlownMission) -> None:
-    none = [struck("pid", call, 0).model_copy(update={"model": "none"}) for call in (2, 50)]
-    assert [one.result for one in strike(server, twin, none)] == ["same_memory", "same_memory"]
+@pytest.mark.parametrize(
+    "kernel", ["point_cloud", "octomap", "collision_check", *PLANNERS, "trajectory", "pid"]
+)
+def test_of_a_fault_without_a_flip_the_memory_is_the_same(server: ForkServer, kernel: str) -> None:
+    planner = kernel if kernel in PLANNERS else SHORT.planner
+    twin = fly(SHORT.model_copy(update={"planner": planner}), server, keep_messages=True)
+    calls = (0,) if KERNELS[kernel].stage == "planning" else (2, 8)
+    none = [struck(kernel, call, 0).model_copy(update={"model": "none"}) for call in calls]
+    assert {one.result for one in strike(server, twin, none)} == {"same_memory"}
 
 
 def test_one_flight_stands_for_all_deaths_by_signals_in_a_call(server: ForkServer, tmp_path: Path) -> None:
