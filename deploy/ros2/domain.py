@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import xxhash
 import zenoh
@@ -159,7 +159,7 @@ class Domain:
         self._entities += 1
         return self._entities - 1
 
-    def __enter__(self) -> Domain:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
