@@ -22,6 +22,7 @@ from services.bus.announce import Announcement
 from services.bus.detector_protocol import DetectorReply, answer, asked
 from services.bus.session import BusAddress
 from services.runtime.setup import NodeSetup
+from services.runtime.stopwatch import KernelStopwatch
 from services.system.shared_stats import SharedStats
 
 __all__ = ["main", "warm_up"]
@@ -51,14 +52,13 @@ def judge(scheme: Scheme, stage: str, payload: bytes, page: np.void) -> Detector
     if fresh:
         scheme.reset(stage)
     page["computing"] = 1
-    begin = time.thread_time_ns()
+    cpu = KernelStopwatch(page, time.CLOCK_THREAD_CPUTIME_ID)
+    cpu.restart()
     alarm = scheme.check(stage, values)
-    spent = time.thread_time_ns() - begin
+    cpu.lap(0)
     page["computing"] = 0
     page["steps"] += 1
     page["invocations"][0] += 1
-    page["cpu_ns"][0] += spent
-    page["cpu_squares_ns2"][0] += float(spent) ** 2
     return None if alarm is None else DetectorReply(alarm.state, alarm.row, alarm.score)
 
 

@@ -25,7 +25,7 @@ from services.models.outcome import KernelUse, NodeReport, NodeResult
 from services.models.pilots import GUARDS, GuardName
 from services.runtime.setup import NodeSetup
 from services.system.process_stat import main_thread_stat
-from services.system.shared_stats import SharedStats
+from services.system.shared_stats import COMPUTING, MESSAGING, WAITING, SharedStats
 from services.system.signal_names import signal_name
 
 STOP_S = 5.0
@@ -93,9 +93,9 @@ class SupervisedNode:
             recomputed=int(counts["recomputed"]),
             ungated=int(counts["ungated"]),
             guards=self._guards(counts["guards"].tolist()),
-            compute_s=int(page["compute_wall_ns"]) / 1e9,
-            messaging_s=int(page["messaging_wall_ns"]) / 1e9,
-            waiting_s=int(page["waiting_wall_ns"]) / 1e9,
+            compute_s=int(page["wall_ns"][COMPUTING]) / 1e9,
+            messaging_s=int(page["wall_ns"][MESSAGING]) / 1e9,
+            waiting_s=int(page["wall_ns"][WAITING]) / 1e9,
             kernels={
                 name: KernelUse(
                     invocations=calls[i],

@@ -7,6 +7,8 @@ import os
 import signal
 import sys
 
+import numpy as np
+
 from services.bus.horizon import Stamped
 from services.bus.messages import MalformedMessageError, decode
 from services.bus.proxy_link import LinkError, NodeLink
@@ -24,6 +26,7 @@ from services.runtime.kernel_timer import GATE_TIMEOUT_S, KernelTimer
 from services.runtime.node import Node
 from services.runtime.probe_gate import PROBE
 from services.runtime.setup import NodeSetup
+from services.runtime.stopwatch import KernelStopwatch
 from services.system.process_stat import listed_pid
 from services.system.shared_stats import SharedStats
 
@@ -143,7 +146,7 @@ class _ProgramTimer(KernelTimer):
     """Times the program instead of the node, and sends probes of the program."""
 
     def __init__(self, setup: NodeSetup, proxy: NodeLink, stats: SharedStats, node: ForeignNode) -> None:
-        super().__init__(setup, proxy, stats.page)
+        super().__init__(setup, proxy, stats.page, _ProgramStopwatch(stats.page, node))
         self._node = node
 
     def _stand_at_gate(self, key: str, request: str) -> bool:
@@ -154,8 +157,16 @@ class _ProgramTimer(KernelTimer):
             raise LinkError("nobody answers at the gate")
         return False
 
-    def _cpu_ns(self) -> int:
-        return self._node.cpu_ns
+
+class _ProgramStopwatch(KernelStopwatch):
+    """Processor time of the program that computes, all its threads."""
+
+    def __init__(self, page: np.void, node: ForeignNode) -> None:
+        self._node = node
+        super().__init__(page, 0)
+
+    def _read(self) -> None:
+        self._now[:] = 0, self._node.cpu_ns
 
 
 def _die_alike(status: int) -> None:

@@ -20,6 +20,7 @@ from services.models.faults.specification import FaultSpec
 from services.runtime.latency import Latency
 from services.runtime.probe_gate import stand_at_gate
 from services.runtime.setup import NodeSetup
+from services.runtime.stopwatch import KernelStopwatch
 
 GATE_TIMEOUT_S = 60.0
 
@@ -44,12 +45,15 @@ class TimedNode(Protocol):
 class KernelTimer:
     """Runs the kernel calls of one node and lets the time pass that they take on the mission's platform."""
 
-    def __init__(self, setup: NodeSetup, proxy: NodeLink, page: np.void) -> None:
+    def __init__(
+        self, setup: NodeSetup, proxy: NodeLink, page: np.void, cpu: KernelStopwatch | None = None
+    ) -> None:
         self._name = setup.name
         self._kernels = setup.kernels
         self._proxy = proxy
         self._page = page
         self._page["gated"] = 0
+        self._cpu = KernelStopwatch(page, time.CLOCK_THREAD_CPUTIME_ID) if cpu is None else cpu
         fault = setup.spec.fault
         recurs = fault is not None and fault.recurs_in_instructions
         self._fault = None if recurs else fault
@@ -73,7 +77,7 @@ class KernelTimer:
         page["end_ns"][index] = end_ns = self.end_ns(node.now_ns, kernel, invocation)
         armed = self._is_armed(kernel, invocation, node.now_ns)
         in_probe = armed and self._gate("enter", kernel, invocation, node.now_ns)
-        begin = self._cpu_ns()
+        self._cpu.restart()
         if armed:
             signal.raise_signal(GATE_SIGNAL)
         try:
@@ -85,12 +89,9 @@ class KernelTimer:
                 os._exit(0)
         if armed:
             signal.raise_signal(GATE_SIGNAL)
-        spent = self._cpu_ns() - begin
+        self._cpu.lap(index)
         if armed:
             self._gate("leave", kernel, invocation, node.now_ns)
-        page["cpu_ns"][index] += spent
-        page["cpu_squares_ns2"][index] += float(spent) ** 2
-        page["last_cpu_ns"][index] = spent
         node.now_ns = end_ns
 
     def end_ns(self, now_ns: int, kernel: str, invocation: int) -> int:
@@ -139,10 +140,6 @@ class KernelTimer:
     def _stand_at_gate(self, key: str, request: str) -> bool:
         """Ask at the gate until it opens; True in a probe that is sent ahead."""
         return stand_at_gate(self._proxy, proxy_link.question(key, request.encode(), GATE_TIMEOUT_S))
-
-    def _cpu_ns(self) -> int:
-        """Processor time of the thread or program that computes."""
-        return time.thread_time_ns()
 
 
 class MarkedCalls:

@@ -31,7 +31,8 @@ from services.runtime.latency import Latency
 from services.runtime.recovery import Recovery
 from services.runtime.setup import NodeSetup
 from services.runtime.source_fault import SourceFault
-from services.system.shared_stats import SharedStats
+from services.runtime.stopwatch import Stopwatch
+from services.system.shared_stats import COMPUTING, MESSAGING, OTHER, WAITING, SharedStats
 
 VERDICT_TIMEOUT_S = 600.0
 """Wall time. A detector that hangs is killed long before, and then the question ends unanswered."""
@@ -54,6 +55,9 @@ class Node:
         self._setup = setup
         self._stats, self._page = stats, stats.page
         self.guards = GuardCounts(stats.page)
+        self._wall = Stopwatch(stats.page, time.CLOCK_MONOTONIC, "wall_ns")
+        self._wall.restart()
+        self._doing = OTHER
         self._timer = timer if timer is not None else KernelTimer(setup, proxy, stats.page)
         fault = setup.spec.fault
         self._source_fault = (
@@ -89,12 +93,11 @@ class Node:
 
     def put(self, topic: str, message: Any) -> Any:
         """Publish ``message`` as ready at the node's virtual time; return what was published."""
-        begin = time.perf_counter_ns()
-        self.corrupt(topic, message)
-        self._corrupted = None
-        self._tell(topic, message)
-        self._published[topic] += 1
-        self._page["messaging_wall_ns"] += time.perf_counter_ns() - begin
+        with self._busy_with(MESSAGING):
+            self.corrupt(topic, message)
+            self._corrupted = None
+            self._tell(topic, message)
+            self._published[topic] += 1
         self.recovery.published(topic)
         return message
 
@@ -148,14 +151,23 @@ class Node:
     @contextmanager
     def _step(self) -> Iterator[None]:
         page = self._page
-        begin, elsewhere = time.perf_counter_ns(), int(page["messaging_wall_ns"] + page["waiting_wall_ns"])
-        page["step_ns"] = self.now_ns
-        page["computing"] = 1
-        yield
-        page["computing"] = 0
-        page["steps"] += 1
-        elsewhere -= int(page["messaging_wall_ns"] + page["waiting_wall_ns"])
-        page["compute_wall_ns"] += time.perf_counter_ns() - begin + elsewhere
+        with self._busy_with(COMPUTING):
+            page["step_ns"] = self.now_ns
+            page["computing"] = 1
+            yield
+            page["computing"] = 0
+            page["steps"] += 1
+
+    @contextmanager
+    def _busy_with(self, activity: int) -> Iterator[None]:
+        """Charge the wall time of the ``with`` statement's body to an activity, and to no other."""
+        before, self._doing = self._doing, activity
+        self._wall.lap(before)
+        try:
+            yield
+        finally:
+            self._wall.lap(activity)
+            self._doing = before
 
     def kernel(self, name: str) -> AbstractContextManager[None]:
         """Run a kernel in a ``with`` statement: counted, timed, stopped at the injector's gate if armed."""
@@ -189,10 +201,8 @@ class Node:
         return answer.body if answer.value else None
 
     def _await(self, kind: int, place: int = 0, first: int = 0, payload: bytes = b"") -> ProxyAnswer:
-        begin = time.perf_counter_ns()
-        answer = self._proxy.ask(kind, place, first, payload=payload)
-        self._page["waiting_wall_ns"] += time.perf_counter_ns() - begin
-        return answer
+        with self._busy_with(WAITING):
+            return self._proxy.ask(kind, place, first, payload=payload)
 
     def _deliver(self, body: bytes) -> None:
         inputs = list(self._inputs.values())

@@ -16,6 +16,10 @@ import numpy as np
 MAX_KERNELS = 16
 MAX_GUARDS = 16
 
+ACTIVITIES = ("computing", "messaging", "waiting", "other")
+COMPUTING, MESSAGING, WAITING, OTHER = range(len(ACTIVITIES))
+"""What a node spends wall time with."""
+
 STEPS_KEPT = 4
 """Of so many steps the page has the counts from before them: a node may be some ahead of a flight's end."""
 
@@ -42,14 +46,13 @@ _LAYOUT = np.dtype(
         ("gated", np.int64),  # 1 while it waits at the injector's gate
         ("program", np.int64),  # pid of the program that computes in the node's place, 0 for none
         ("asking", np.int64),  # 1 while it waits for the detector's verdict
-        ("compute_wall_ns", np.int64),
-        ("messaging_wall_ns", np.int64),
-        ("waiting_wall_ns", np.int64),
+        ("wall_ns", np.int64, (len(ACTIVITIES),)),
         ("invocations", np.int64, (MAX_KERNELS,)),  # by the order of the node's kernel names
         ("end_ns", np.int64, (MAX_KERNELS,)),  # virtual time at which the last call ends
         ("cpu_ns", np.int64, (MAX_KERNELS,)),
         ("cpu_squares_ns2", np.float64, (MAX_KERNELS,)),
-        ("last_cpu_ns", np.int64, (MAX_KERNELS,)),
+        ("readings", np.int64, (2, 3, 2)),  # of the stopwatches of wall and processor time
+        ("cpu_square_ns2", np.float64, (1,)),
         # What follows is the proxy's: it depends on when things come, so no node may look at it.
         ("late", np.int64),  # ticks begun more than a tick late, in real time
         ("recovered", np.int64),  # messages fetched again from the recorder
