@@ -22,8 +22,8 @@ from services.bus.announce import Announcement
 from services.bus.detector_protocol import DetectorReply, answer, asked
 from services.bus.session import BusAddress
 from services.runtime.setup import NodeSetup
-from services.runtime.stopwatch import KernelStopwatch
 from services.system.shared_stats import SharedStats
+from services.system.stopwatch import KernelStopwatch
 
 __all__ = ["main", "warm_up"]
 

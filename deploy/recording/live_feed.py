@@ -21,7 +21,7 @@ SOCKET = "live.sock"
 WAITING_BYTES = 8_000_000
 """Of messages that wait for the viewer's server; what comes beyond is dropped, and counted."""
 
-PATIENCE_S = 1.0
+PATIENCE_S = 10.0
 """Wall time after which a server that does not read is given up."""
 
 LONGEST_BYTES = 32_000_000

@@ -26,9 +26,9 @@ from services.runtime.kernel_timer import GATE_TIMEOUT_S, KernelTimer
 from services.runtime.node import Node
 from services.runtime.probe_gate import PROBE
 from services.runtime.setup import NodeSetup
-from services.runtime.stopwatch import KernelStopwatch
 from services.system.process_stat import listed_pid
 from services.system.shared_stats import SharedStats
+from services.system.stopwatch import KernelStopwatch
 
 _OURS = (70, 71)
 """Exit statuses that mean something else where a node ends with them."""

@@ -20,7 +20,7 @@ from services.models.faults.specification import FaultSpec
 from services.runtime.latency import Latency
 from services.runtime.probe_gate import stand_at_gate
 from services.runtime.setup import NodeSetup
-from services.runtime.stopwatch import KernelStopwatch
+from services.system.stopwatch import KernelStopwatch
 
 GATE_TIMEOUT_S = 60.0
 

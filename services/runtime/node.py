@@ -12,7 +12,6 @@ its memory lies, follows from the flight alone.
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any, Literal, Self
@@ -31,8 +30,8 @@ from services.runtime.latency import Latency
 from services.runtime.recovery import Recovery
 from services.runtime.setup import NodeSetup
 from services.runtime.source_fault import SourceFault
-from services.runtime.stopwatch import Stopwatch
-from services.system.shared_stats import COMPUTING, MESSAGING, OTHER, WAITING, SharedStats
+from services.system.shared_stats import COMPUTING, MESSAGING, WAITING, SharedStats
+from services.system.stopwatch import ActivityStopwatch
 
 VERDICT_TIMEOUT_S = 600.0
 """Wall time. A detector that hangs is killed long before, and then the question ends unanswered."""
@@ -55,9 +54,7 @@ class Node:
         self._setup = setup
         self._stats, self._page = stats, stats.page
         self.guards = GuardCounts(stats.page)
-        self._wall = Stopwatch(stats.page, time.CLOCK_MONOTONIC, "wall_ns")
-        self._wall.restart()
-        self._doing = OTHER
+        self._wall = ActivityStopwatch(stats.page)
         self._timer = timer if timer is not None else KernelTimer(setup, proxy, stats.page)
         fault = setup.spec.fault
         self._source_fault = (
@@ -93,7 +90,7 @@ class Node:
 
     def put(self, topic: str, message: Any) -> Any:
         """Publish ``message`` as ready at the node's virtual time; return what was published."""
-        with self._busy_with(MESSAGING):
+        with self._wall.busy_with(MESSAGING):
             self.corrupt(topic, message)
             self._corrupted = None
             self._tell(topic, message)
@@ -151,23 +148,12 @@ class Node:
     @contextmanager
     def _step(self) -> Iterator[None]:
         page = self._page
-        with self._busy_with(COMPUTING):
+        with self._wall.busy_with(COMPUTING):
             page["step_ns"] = self.now_ns
             page["computing"] = 1
             yield
             page["computing"] = 0
             page["steps"] += 1
-
-    @contextmanager
-    def _busy_with(self, activity: int) -> Iterator[None]:
-        """Charge the wall time of the ``with`` statement's body to an activity, and to no other."""
-        before, self._doing = self._doing, activity
-        self._wall.lap(before)
-        try:
-            yield
-        finally:
-            self._wall.lap(activity)
-            self._doing = before
 
     def kernel(self, name: str) -> AbstractContextManager[None]:
         """Run a kernel in a ``with`` statement: counted, timed, stopped at the injector's gate if armed."""
@@ -201,7 +187,7 @@ class Node:
         return answer.body if answer.value else None
 
     def _await(self, kind: int, place: int = 0, first: int = 0, payload: bytes = b"") -> ProxyAnswer:
-        with self._busy_with(WAITING):
+        with self._wall.busy_with(WAITING):
             return self._proxy.ask(kind, place, first, payload=payload)
 
     def _deliver(self, body: bytes) -> None:

@@ -7,10 +7,15 @@ So the readings lie on the page that is shared with the supervisor, and are adde
 from __future__ import annotations
 
 import ctypes
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from services.system.shared_stats import OTHER
 
 _NS: NDArray[np.int64] = np.array([1_000_000_000, 1])
 """A clock is read as seconds and ns (struct timespec)."""
@@ -50,6 +55,26 @@ class Stopwatch:
 
     def _read(self) -> None:
         _clock_gettime(self._clock, self._now_at)
+
+
+class ActivityStopwatch(Stopwatch):
+    """Wall time, all of it charged to one activity or another."""
+
+    def __init__(self, page: np.void) -> None:
+        super().__init__(page, time.CLOCK_MONOTONIC, "wall_ns")
+        self._doing = OTHER
+        self.restart()
+
+    @contextmanager
+    def busy_with(self, activity: int) -> Iterator[None]:
+        """Charge what the ``with`` statement's body takes to an activity, and to no other."""
+        before, self._doing = self._doing, activity
+        self.lap(before)
+        try:
+            yield
+        finally:
+            self.lap(activity)
+            self._doing = before
 
 
 class KernelStopwatch(Stopwatch):
