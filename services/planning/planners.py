@@ -102,7 +102,7 @@ def _search(
     iterations: int,
 ) -> NDArray[np.float64] | None:
     """Corners of the path that OMPL finds within the budget, if any."""
-    ompl_util.RNG.setSeed(seed)  # before anything that draws is made
+    ompl_util.RNG.setSeed(seed or 1)  # before anything that draws is made; OMPL takes no notice of 0
     low = grid.origin * _METRIC
     high = low + np.array(grid.levels.shape) * grid.resolution_m * _METRIC
     ends = (start * _METRIC, goal * _METRIC)
@@ -117,7 +117,6 @@ def _search(
     validator = _EdgeValidator(information, grid, limit)
     information.setMotionValidator(validator)
     information.setStateValidityChecker(validator.state_clear)
-    information.setup()
     objective = base.PathLengthOptimizationObjective(information)
     objective.setCostThreshold(base.Cost(GOOD_ENOUGH * float(np.linalg.norm(ends[1] - ends[0]))))
     problem = base.ProblemDefinition(information)
@@ -128,15 +127,17 @@ def _search(
             state[axis] = float(point[axis])
     problem.setStartAndGoalStates(*states)
     algorithm = PLANNERS[planner](information)
-    algorithm.setProblemDefinition(problem)
-    if isinstance(algorithm, geometric.PRMstar):
-        algorithm.setup()
-        found = shortest(algorithm, information, *ends, validator.clear, iterations)
-        return None if found is None else found / _METRIC
-    algorithm.setRange(EDGE_M)
+    ompl_util.RNG()  # OMPL seeds one after the other, and SimpleSetup made one here
+    if not isinstance(algorithm, geometric.PRMstar):
+        algorithm.setRange(EDGE_M)
     if isinstance(algorithm, geometric.RRTstar):
         algorithm.setFocusSearch(True)  # only where the path that it has could still be shortened
+    information.setup()
+    algorithm.setProblemDefinition(problem)
     algorithm.setup()
+    if isinstance(algorithm, geometric.PRMstar):
+        found = shortest(algorithm, information, *ends, validator.clear, iterations)
+        return None if found is None else found / _METRIC
     budget = _Budget(iterations)
     algorithm.solve(base.PlannerTerminationCondition(budget.spent))
     if not problem.hasExactSolution():

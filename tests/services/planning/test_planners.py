@@ -170,3 +170,22 @@ def test_nothing_leads_through_what_is_occupied() -> None:
     behind = plan("rrt_connect", walled, np.array([13.6, 0.0, 3.0]), GOAL, 2)
     assert behind is not None
     assert walled.edge_clear(behind[0], behind[1], OCCUPIED)
+
+
+@pytest.mark.parametrize(
+    ("planner", "corners", "lengths_m"),
+    [
+        ("rrt", (3, 3), (35.484221, 35.426146)),
+        ("rrt_connect", (3, 4), (35.693074, 36.230115)),
+        ("rrt_star", (4, 4), (34.64881, 34.722643)),
+        ("prm_star", (3, 5), (35.565664, 34.583961)),
+    ],
+)
+def test_paths_are_those_of_the_releases_before(
+    planner: str, corners: tuple[int, ...], lengths_m: tuple[float, ...]
+) -> None:
+    """Digests of flights hang on them: a change is told in the changelog."""
+    paths = [plan(planner, wall_with_ends(), START, GOAL, seed) for seed in (1, 2)]
+    found = [path for path in paths if path is not None]
+    assert tuple(len(path) for path in found) == corners
+    assert [length(path) for path in found] == pytest.approx(list(lengths_m), abs=1e-5)
