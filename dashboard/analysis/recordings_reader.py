@@ -20,12 +20,12 @@ import zstandard
 from mcap.exceptions import EndOfFile, McapError
 from mcap.records import Channel, Chunk, Footer, Message, Metadata, Schema
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
-from numpy.typing import NDArray
 from pydantic import ValidationError
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from dashboard.analysis.table import Table, column
 from deploy.errors import BadSpecError, one_line
 from deploy.recording.mcap_file import METADATA
 from deploy.recording.propagation import Messages
@@ -36,30 +36,9 @@ from services.models.mission import MissionSpec
 from services.models.outcome import InjectionRecord
 
 if TYPE_CHECKING:
-    import pyarrow as pa
+    from matplotlib.figure import Figure
 
 _LARGEST_RECORD = 2**26
-
-Column = NDArray[Any]
-
-
-class Table(dict[str, Column]):
-    """Columns by name, one row a message: ``ready_ns`` and ``seq``, then the message's fields.
-
-    A number is a column (n,), an array whose size is always the same one of shape (n, size). Strings, other
-    arrays and lists of messages are columns of objects; in a list a message is a dictionary of its fields.
-    """
-
-    def arrow(self) -> pa.Table:
-        """The same for Arrow; arrays become lists. Needs ``zenfi[parquet]``.
-
-        :raises BadSpecError: if that is not installed.
-        """
-        try:
-            import pyarrow as pa  # noqa: PLC0415 - an extra
-        except ImportError as error:
-            raise BadSpecError("Arrow tables need pyarrow: pip install zenfi[parquet]") from error
-        return pa.table({name: pa.array(list(column)) for name, column in self.items()})
 
 
 @dataclass
@@ -90,7 +69,9 @@ class FlightRecording:
                 raise BadSpecError(problem) from error
 
     def table(self, topic: str) -> Table:
-        """The messages of a topic as columns of a table.
+        """The messages of a topic, a row each: ``ready_ns`` and ``seq``, then the message's fields.
+
+        In a list of messages a message is a dictionary of its fields.
 
         :raises BadSpecError: if it was not recorded.
         """
@@ -101,8 +82,26 @@ class FlightRecording:
             seq=np.array([message.seq for message in sent], dtype=np.int64),
         )
         for name in rows[0] if rows else ():
-            table[name] = _column([row[name] for row in rows])
+            table[name] = column([_plain(row[name]) for row in rows])
         return table
+
+    def plot(self, twin: FlightRecording | None = None) -> Figure:
+        """Draw the flown path from above and by height, beside that of its golden twin if there is one.
+
+        :raises BadSpecError: if matplotlib is not installed, or the file does not say what was flown.
+        """
+        from dashboard.analysis import plots  # noqa: PLC0415 - which reads recordings
+
+        return plots.path(self, twin)
+
+    def plot_propagation(self, twin: FlightRecording) -> Figure:
+        """Draw how far each topic strayed from the golden twin.
+
+        :raises BadSpecError: if ``twin`` is not its golden twin, or matplotlib is not installed.
+        """
+        from dashboard.analysis import plots  # noqa: PLC0415 - which reads recordings
+
+        return plots.growth(self, twin)
 
     @property
     def flight(self) -> Messages:
@@ -189,17 +188,6 @@ def _learn(store: Typestore, schema: Schema) -> None:
     known = store.fielddefs
     found = get_types_from_msg(schema.data.decode(), schema.name)
     store.register({name: definition for name, definition in found.items() if name not in known})
-
-
-def _column(values: list[Any]) -> Column:
-    first = values[0]
-    if isinstance(first, np.ndarray) and len({value.shape for value in values}) == 1:
-        return np.stack(values)
-    if isinstance(first, bool | int | float):
-        return np.array(values)
-    column = np.empty(len(values), dtype=object)
-    column[:] = [_plain(value) for value in values]
-    return column
 
 
 def _plain(value: Any) -> Any:

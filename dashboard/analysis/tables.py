@@ -174,7 +174,7 @@ def campaign(name: str, summary: Sequence[CellSummary]) -> Table:
     many_worlds = len({line.world for line in summary}) > 1
     for line in summary:
         table.add_row(
-            _named(line, many_worlds),
+            cell_name(line, many_worlds),
             f"{line.successes}/{line.runs - line.failed_to_fly}",
             f"{100 * line.success_low:.0f}-{100 * line.success_high:.0f}",
             *(_cell(value) for value in (line.flight_time_s, line.distance_m, line.energy_kj, line.replans)),
@@ -202,11 +202,12 @@ def effects(summary: Sequence[CellSummary]) -> Table | None:
         table.add_column(word, justify="right")
     many_worlds = len({line.world for line in summary}) > 1
     for line in watched:
-        table.add_row(_named(line, many_worlds), *(str(line.effects.get(word, 0)) for word in EFFECTS))
+        table.add_row(cell_name(line, many_worlds), *(str(line.effects.get(word, 0)) for word in EFFECTS))
     return table
 
 
-def _named(line: CellSummary, many_worlds: bool) -> str:
+def cell_name(line: CellSummary, many_worlds: bool) -> str:
+    """What a line of a campaign's table is called."""
     parts = (line.arm, line.world if many_worlds else "", line.fault)
     return " ".join(part for part in parts if part)
 

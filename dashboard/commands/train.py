@@ -12,10 +12,11 @@ from rich.console import Console
 from rich.progress import track
 
 from dashboard.analysis import detection
-from dashboard.terminal.options import FAULT_FORM, as_json, parse_fault
+from dashboard.terminal.options import as_json
 from deploy.bench.detector_series import record as fly_and_watch
 from deploy.config.check import check
 from deploy.config.definitions import inlined
+from deploy.config.written_faults import FAULT_FORM, parse_fault
 from deploy.errors import BadSpecError
 from deploy.mission.fork_server import ForkServer
 from detector.evaluation.evaluation import evaluate as judge

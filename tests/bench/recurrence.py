@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 
-from dashboard.terminal.options import parse_fault
+from deploy.config.written_faults import parse_fault
 from deploy.mission.fork_server import ForkServer
 from deploy.pairing.golden_twin import PairFlyer
 from deploy.pairing.replay import refusal, replay

@@ -1,0 +1,141 @@
+"""Plots for notebooks and papers, with matplotlib (``zenfi[plot]``): path, propagation, quality of flight.
+
+Each returns a figure, which a notebook shows and ``figure.savefig`` writes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+from dashboard.analysis.extras import installed
+from dashboard.analysis.plan import Rectangle, shapes
+from dashboard.analysis.propagation import picture
+from dashboard.analysis.recordings_reader import FlightRecording
+from dashboard.analysis.tables import cell_name
+from dashboard.campaigns.results.summary import CellSummary
+from sim.world import make_world
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FLOWN, TWIN, FAULT = "#c0392b", "#4a6fa5", "#e67e22"
+"""Colours of a flight, its golden twin, and the moment of the fault."""
+
+_FEW = 50
+"""Fewer points are marked, each."""
+
+
+def path(run: FlightRecording, twin: FlightRecording | None = None) -> Figure:
+    """The path of a flight from above, in its world, and its height over time; with its golden twin's.
+
+    :raises BadSpecError: if matplotlib is not installed, or the file does not say what was flown.
+    """
+    figure = _figure(10.0, 3.6, run.spec.world_name)
+    above, beside = figure.subplots(1, 2, width_ratios=(3, 2))
+    _draw_world(above, run)
+    above.set(xlabel="x, m", ylabel="y, m", title="from above", aspect="equal")
+    beside.set(xlabel="time, s", ylabel="height, m", title="height")
+    for one, name, colour in ((twin, "golden twin", TWIN), (run, "flight", FLOWN)):
+        if one is None:
+            continue
+        odometry = one.table("odometry")
+        x, y, z = (odometry[f"pose.pose.position.{axis}"] for axis in "xyz")
+        above.plot(x, y, color=colour, label=name)
+        beside.plot(odometry["ready_ns"] / 1e9, z, color=colour, label=name)
+    _mark_fault(beside, run)
+    beside.legend()
+    return figure
+
+
+def growth(run: FlightRecording, twin: FlightRecording) -> Figure:
+    """How far each topic of a flight was from its golden twin's over time, in the topic's own unit.
+
+    :raises BadSpecError: if ``twin`` is not its golden twin, or matplotlib is not installed.
+    """
+    grown = picture(run, twin).growth
+    figure = _figure(8.0, 1.2 + 1.2 * max(len(grown), 1), "deviation from the golden twin")
+    axes = figure.subplots(max(len(grown), 1), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, one in zip(axes, grown, strict=False):
+        told = [(at, value) for at, value in zip(one.time_s, one.deviation, strict=True) if value is not None]
+        marker = "." if len(told) < _FEW else ""
+        axis.plot([at for at, _ in told], [value for _, value in told], color=FLOWN, marker=marker)
+        axis.set_ylabel(f"{one.topic}\n{one.unit}", rotation=0, ha="right", va="center")
+        axis.set_yscale("symlog", linthresh=1e-3)
+        axis.set_ylim(bottom=0.0)
+        _mark_fault(axis, run)
+    if not grown:
+        axes[0].text(0.5, 0.5, "no topic strayed", ha="center", va="center")
+    axes[-1].set_xlabel("time, s")
+    return figure
+
+
+def quality(title: str, lines: Sequence[CellSummary]) -> Figure:
+    """Success, and flight time of those that arrived, of each cell of a campaign, with 95 % intervals.
+
+    :raises BadSpecError: if matplotlib is not installed.
+    """
+    flown = [line for line in lines if line.runs > line.failed_to_fly]
+    names = [cell_name(line, len({one.world for one in lines}) > 1) for line in flown]
+    figure = _figure(10.0, 1.4 + 0.32 * max(len(flown), 1), title)
+    success, time = figure.subplots(1, 2, sharey=True)
+    for place, line in enumerate(flown):
+        share = line.successes / (line.runs - line.failed_to_fly)
+        _interval(success, place, 100 * share, 100 * line.success_low, 100 * line.success_high)
+        if line.flight_time_s is not None:
+            _interval(time, place, line.flight_time_s, line.flight_time_low_s, line.flight_time_high_s)
+    rows = {"ylim": (max(len(names), 1) - 0.5, -0.5), "yticks": range(len(names)), "yticklabels": names}
+    success.set(xlabel="success, %", xlim=(-3, 103), **rows)
+    time.set(xlabel="flight time of successes, median, s")
+    for axis in (success, time):
+        axis.grid(axis="x", alpha=0.3)
+    return figure
+
+
+def _figure(width: float, height: float, title: str) -> Figure:
+    """A figure of so many inches that belongs to nobody: pyplot would keep every one."""
+    made = _shown_figure()(figsize=(width, height), layout="constrained")
+    made.suptitle(title)
+    return made
+
+
+@cache
+def _shown_figure() -> type[Figure]:
+    """Figures that notebooks show: those of matplotlib are shown only where pyplot made them."""
+    plain: type[Figure] = installed("matplotlib.figure", "plot").Figure
+
+    class ShownFigure(plain):  # type: ignore[misc,valid-type]
+        def _repr_png_(self) -> bytes:
+            drawn = BytesIO()
+            self.savefig(drawn, format="png", dpi=60)
+            return drawn.getvalue()
+
+    return ShownFigure
+
+
+def _interval(axis: Axes, place: int, value: float, low: float | None, high: float | None) -> None:
+    if low is not None and high is not None:
+        axis.plot([low, high], [place, place], color=TWIN, linewidth=2)
+    axis.plot([value], [place], "o", color=FLOWN)
+
+
+def _draw_world(axis: Axes, run: FlightRecording) -> None:
+    patches: Any = installed("matplotlib.patches", "plot")
+    world = make_world(run.spec.world, run.spec.seed)
+    for shape in shapes(world):
+        colour = f"#{shape.colour:06x}"
+        if isinstance(shape, Rectangle):
+            width, height = shape.x1 - shape.x0, shape.y1 - shape.y0
+            axis.add_patch(patches.Rectangle((shape.x0, shape.y0), width, height, color=colour, linewidth=0))
+        else:
+            axis.add_patch(patches.Circle((shape.x, shape.y), shape.radius, color=colour, linewidth=0))
+    axis.autoscale_view()  # the ground is among the shapes
+
+
+def _mark_fault(axis: Axes, run: FlightRecording) -> None:
+    record = run.injection
+    if record is not None and record.status == "injected":
+        axis.axvline(record.virtual_time_ns / 1e9, color=FAULT, linestyle=":", label="fault")

@@ -1,0 +1,39 @@
+"""Plots show what they are given: paths, the fault, topics that strayed, cells."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dashboard.analysis import plots
+from dashboard.analysis.recordings_reader import open_run
+from deploy.errors import BadSpecError
+from tests.dashboard.recorded import flights
+
+__all__ = ["flights"]
+
+
+def test_a_path_lies_beside_its_twins(flights: dict[str, Path]) -> None:
+    run, twin = open_run(flights["faulty"]), open_run(flights["golden"])
+    above, beside = run.plot(twin).axes
+    assert [line.get_label() for line in above.lines] == ["golden twin", "flight"]
+    assert np.size(above.lines[1].get_xdata()) == len(run.messages["odometry"])
+    assert len(above.patches) > 5
+    assert [line.get_label() for line in beside.lines] == ["golden twin", "flight", "fault"]
+    assert run.injection is not None
+    assert np.min(np.asarray(beside.lines[2].get_xdata())) == run.injection.virtual_time_ns / 1e9
+    assert len(run.plot().axes[0].lines) == 1
+
+
+def test_propagation_has_a_panel_for_each_topic_that_strayed(flights: dict[str, Path]) -> None:
+    run, twin = open_run(flights["faulty"]), open_run(flights["golden"])
+    panels = run.plot_propagation(twin).axes
+    labels = [panel.get_ylabel().split("\n")[0] for panel in panels]
+    assert labels[0] == "trajectory"
+    assert all(panel.lines for panel in panels)
+    with pytest.raises(BadSpecError, match="not the golden twin"):
+        twin.plot_propagation(run)
+
+
+def test_an_empty_campaign_is_drawn() -> None:
+    assert len(plots.quality("empty", []).axes) == 2
