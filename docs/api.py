@@ -10,7 +10,7 @@ from pathlib import Path
 import pdoc
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("services", "sim", "injector", "detector", "deploy", "dashboard")
+PACKAGES = ("services", "sim", "injector", "detector", "deploy", "dashboard", "zenfi")
 NOT_IMPORTED = ("__main__", "migrations")
 """Parts of names of modules that act when they are imported."""
 

@@ -13,7 +13,7 @@ from urllib.parse import unquote
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("services", "sim", "injector", "detector", "deploy", "dashboard")
+PACKAGES = ("services", "sim", "injector", "detector", "deploy", "dashboard", "zenfi")
 
 LINK = re.compile(r'<a [^>]*href="([^"]+)"')
 ANCHOR = re.compile(r' id="([^"]+)"')

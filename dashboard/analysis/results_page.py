@@ -10,7 +10,7 @@ from dashboard.campaigns.results.compare import Comparison, Difference
 from dashboard.campaigns.results.summary import CellSummary
 from dashboard.campaigns.spec import Cell
 from dashboard.campaigns.statistics.proportions import Interval
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from deploy.errors import BadSpecError
 
 _HEAD = (
@@ -27,7 +27,11 @@ _LEGEND = (
 
 
 def write(
-    path: Path, found: Campaign, lines: Sequence[CellSummary], compared: Sequence[Comparison], command: str
+    path: Path,
+    found: CampaignEntry,
+    lines: Sequence[CellSummary],
+    compared: Sequence[Comparison],
+    command: str,
 ) -> None:
     """Write the page of a campaign, which ``command`` makes again.
 
@@ -40,7 +44,9 @@ def write(
         raise BadSpecError(message) from error
 
 
-def page(found: Campaign, lines: Sequence[CellSummary], compared: Sequence[Comparison], command: str) -> str:
+def page(
+    found: CampaignEntry, lines: Sequence[CellSummary], compared: Sequence[Comparison], command: str
+) -> str:
     """The page: what was flown, then a table for each world and fault with a row for each arm."""
     spec = found.spec
     beside = {one.cell: one for one in compared}

@@ -11,7 +11,7 @@ from starlette.requests import HTTPConnection
 from dashboard.api.processes.campaign_runner import CampaignRunner
 from dashboard.api.processes.event_bus import EventBus
 from dashboard.api.programs import Programs
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 
 
@@ -33,9 +33,9 @@ def _service(connection: HTTPConnection) -> Service:
 ServiceDep = Annotated[Service, Depends(_service)]
 
 
-def _campaign(label: str, service: ServiceDep) -> Campaign:
+def _campaign(label: str, service: ServiceDep) -> CampaignEntry:
     return service.store.find(label)
 
 
-CampaignDep = Annotated[Campaign, Depends(_campaign)]
+CampaignDep = Annotated[CampaignEntry, Depends(_campaign)]
 """The campaign that the path names by its label or number."""

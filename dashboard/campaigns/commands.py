@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 
 from dashboard.campaigns.events import Begin, Cancel, CannotBegin, Pause
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import BusyError, Store
 from deploy.errors import BadSpecError
 
@@ -18,7 +18,7 @@ class ConflictError(BadSpecError):
     """The command does not fit the phase of the campaign."""
 
 
-def cancel(store: Store, campaign: Campaign) -> None:
+def cancel(store: Store, campaign: CampaignEntry) -> None:
     """Give a campaign up; what was flown stays. Whoever flies it hears of it in a moment.
 
     :raises ConflictError: if it has ended.
@@ -32,7 +32,7 @@ def cancel(store: Store, campaign: Campaign) -> None:
         store.set_desired_state(campaign, "cancel")
 
 
-def pause(store: Store, campaign: Campaign) -> None:
+def pause(store: Store, campaign: CampaignEntry) -> None:
     """Have whoever flies a campaign leave it, and nobody take it up.
 
     :raises ConflictError: if it has ended.
@@ -46,7 +46,7 @@ def pause(store: Store, campaign: Campaign) -> None:
             store.write(campaign, states, changed + states.handle(Pause("paused")), {})
 
 
-def give_up(store: Store, campaign: Campaign, reason: str) -> None:
+def give_up(store: Store, campaign: CampaignEntry, reason: str) -> None:
     """End a campaign that cannot be set up as failed; nobody takes it up before it is resumed.
 
     :raises BusyError: if another process flies it.
@@ -58,7 +58,7 @@ def give_up(store: Store, campaign: Campaign, reason: str) -> None:
         store.set_desired_state(campaign, "")
 
 
-def refuse_ended(campaign: Campaign) -> None:
+def refuse_ended(campaign: CampaignEntry) -> None:
     """Refuse a command for a campaign that has ended.
 
     :raises ConflictError: if it has.

@@ -11,7 +11,7 @@ from dashboard.campaigns.recording import ArtefactRecorder
 from dashboard.campaigns.scheduler import Scheduler
 from dashboard.campaigns.stopping import StoppingRule
 from dashboard.campaigns.store.database import StoreError, StoreFullError
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 from deploy.errors import InfrastructureError
 from deploy.recording.live_feed import SOCKET
@@ -21,7 +21,7 @@ from services.models.mission import MissionSpec
 
 @contextmanager
 def scheduling(
-    store: Store, campaign: Campaign, executor: ExecutorSpec, slots: int | None
+    store: Store, campaign: CampaignEntry, executor: ExecutorSpec, slots: int | None
 ) -> Iterator[Scheduler]:
     """The scheduler of a campaign, which is ours alone meanwhile; to be flown by ``scheduler.fly()``.
 

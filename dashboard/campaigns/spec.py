@@ -255,18 +255,25 @@ def load_campaign(name: str) -> CampaignSpec:
         message = f"no campaign file {name!r} and no preset of that name"
         raise BadSpecError(message)
     try:
-        campaign = CampaignSpec.model_validate(_with_files(_parsed(text, path)))
+        return campaign_of(_parsed(text, path))
     except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
         message = f"{name}: not valid {'JSON' if path.suffix == '.json' else 'TOML'}: {error}"
         raise BadSpecError(message) from error
-    except ValidationError as error:
-        message = f"{name}: {one_line(error)}"
-        raise BadSpecError(message) from error
-    try:
-        check_campaign(campaign)
     except BadSpecError as error:
         message = f"{name}: {error}"
         raise BadSpecError(message) from error
+
+
+def campaign_of(fields: object) -> CampaignSpec:
+    """The campaign with these fields, as a file has them; what they name by file is read.
+
+    :raises BadSpecError: if it is malformed or cannot be flown.
+    """
+    try:
+        campaign = CampaignSpec.model_validate(_with_files(fields))
+    except ValidationError as error:
+        raise BadSpecError(one_line(error)) from error
+    check_campaign(campaign)
     return campaign
 
 

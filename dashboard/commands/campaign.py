@@ -15,18 +15,21 @@ from rich.console import Console
 from dashboard.analysis import results_page, tables
 from dashboard.campaigns import commands
 from dashboard.campaigns.executors.choice import FORM, parse_executor, slots_of
+from dashboard.campaigns.executors.spec import ExecutorSpec
 from dashboard.campaigns.forecast import forecast
-from dashboard.campaigns.presets import presets, scaled
+from dashboard.campaigns.presets import presets
 from dashboard.campaigns.results import export
 from dashboard.campaigns.results.compare import side_by_side
 from dashboard.campaigns.results.summary import summary
+from dashboard.campaigns.scheduler import Finished
 from dashboard.campaigns.spec import load_campaign
 from dashboard.campaigns.store.listing import files, line
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
-from dashboard.terminal.campaign_progress import fly, messages, run_new, tell
+from dashboard.terminal.campaign_progress import tell
 from dashboard.terminal.options import as_json, in_store
 from deploy.errors import BadSpecError
+from zenfi.campaign import Campaign, StoredCampaign
 
 Command = Callable[..., Any]
 in_slots = click.option(
@@ -67,12 +70,12 @@ def run(
     svg: Path | None,
 ) -> None:
     """Fly the campaign in the TOML or JSON file SPEC, or the preset of that name."""
-    asked = scaled(load_campaign(spec), scale)
+    asked = Campaign(spec, scale=scale).spec
     if fly_all:
         asked = asked.model_copy(update={"fly_all": True})
     if executor is not None:
         asked = asked.model_copy(update={"executor": parse_executor(executor, asked.executor)})
-    run_new(asked, slots, store, as_json, svg)
+    _run_new(Campaign(asked), slots, store, as_json, svg)
 
 
 @campaign.command()
@@ -103,10 +106,8 @@ def resume(
         else:
             found = opened.find(label)
         commands.refuse_ended(found)
-        limit_mb = disk_mb or found.spec.limits.disk_mb
-        spec = found.spec.executor
-        at = parse_executor(executor, spec) if executor is not None else spec
-        fly(opened, found, at, slots, limit_mb, as_json, svg)
+        at = parse_executor(executor, found.spec.executor) if executor is not None else None
+    _fly(StoredCampaign(found.label, store), at, slots, disk_mb, as_json, svg)
 
 
 @campaign.command("presets")
@@ -156,12 +157,14 @@ def show(label: str, store: str, as_json: bool, svg: Path | None) -> None:
             click.echo(json.dumps({**told, "spec": found.spec.model_dump(mode="json")}))
         else:
             reason = f" ({told['reason']})" if told["reason"] else ""
-            messages.print(f"{found.label}: {told['phase']}{reason}, {told['done']} of {told['runs']} flown")
+            _messages().print(
+                f"{found.label}: {told['phase']}{reason}, {told['done']} of {told['runs']} flown"
+            )
             if told["files"]:
-                messages.print(tables.files(told["files"]))
+                _messages().print(tables.files(told["files"]))
             if told["replays"]:
-                messages.print(tables.replays(told["replays"]))
-        tell(found, told["phase"], summary(opened, found), as_json, svg)
+                _messages().print(tables.replays(told["replays"]))
+        tell(found.label, found.spec.name, told["phase"], summary(opened, found), as_json, svg)
 
 
 @campaign.command()
@@ -254,10 +257,62 @@ def compare_(
 @as_picture
 def demo(store: str, as_json: bool, svg: Path | None) -> None:
     """A small campaign in Sparse: golden flights beside flights with one flipped bit."""
-    run_new(load_campaign("demo"), None, store, as_json, svg)
+    _run_new(Campaign("demo"), None, store, as_json, svg)
 
 
-def _line(store: Store, one: Campaign) -> dict[str, Any]:
+def _run_new(asked: Campaign, slots: int | None, store: str, as_json: bool, svg: Path | None) -> None:
+    """Store a campaign, tell what it will take, and fly it."""
+    plan = asked.forecast(slots=slots, store=store)
+    created = asked.create(store=store)
+    if as_json:
+        click.echo(json.dumps({"campaign": created.label, "forecast": plan.model_dump()}))
+    else:
+        _messages().print(tables.forecast(created.label, plan))
+    _fly(created, None, slots, None, as_json, svg)
+
+
+def _fly(
+    campaign: StoredCampaign,
+    executor: ExecutorSpec | None,
+    slots: int | None,
+    disk_mb: int | None,
+    as_json: bool,
+    svg: Path | None,
+) -> None:
+    """Fly what is left of a campaign; tell what it has found."""
+
+    def each(one: Finished) -> None:
+        if as_json:
+            _tell_flight(campaign.label, one)
+
+    try:
+        campaign.fly(slots=slots, executor=executor, disk_mb=disk_mb, each=each)
+    except KeyboardInterrupt:
+        click.echo(f"zenfi: go on with: zenfi campaign resume {campaign.label}", err=True)
+        raise
+    phase = campaign.phase
+    tell(campaign.label, campaign.spec.name, phase, campaign.summary(), as_json, svg)
+    if phase == "cancelled":
+        _messages().print(f"{campaign.label} was cancelled")
+    if phase == "paused":
+        _messages().print(f"{campaign.label} is paused: go on with zenfi campaign resume {campaign.label}")
+    if phase != "done":
+        sys.exit(1)
+
+
+def _tell_flight(label: str, one: Finished) -> None:
+    head: dict[str, Any] = {"campaign": label, **one.run.cell._asdict(), "index": one.run.index}
+    if one.outcome is None:
+        click.echo(json.dumps({**head, "error": one.error}))
+    else:
+        click.echo(json.dumps({**head, "outcome": one.outcome.model_dump(mode="json", by_alias=True)}))
+
+
+def _messages() -> Console:
+    return Console(stderr=True)
+
+
+def _line(store: Store, one: CampaignEntry) -> dict[str, Any]:
     kept = {fate: count.model_dump() for fate, count in files(store, one).items()}
     replays = store.replay_counts(one)
     return {**line(store, one).model_dump(), "files": kept, "replays": replays}

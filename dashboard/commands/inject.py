@@ -6,7 +6,6 @@ import os
 import re
 import signal
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,23 +13,11 @@ import click
 from rich.console import Console
 
 from dashboard.terminal.injection_card import card
-from dashboard.terminal.options import as_json, fault_fields
+from dashboard.terminal.options import as_json
 from deploy.compose.stack_file import NAME
-from deploy.compose.wrapper import claim_of, run_announced, the_stack, verify
-from deploy.config.check import check_machine
-from deploy.errors import BadSpecError, InfrastructureError
-from injector.attach.approach import AttachTarget
-from injector.attach.injection import ENDED, ProcessInjection, ended_before, inject_into
-from injector.attach.permission import AttachRefusedError, admit, check_thread, name_of
-from injector.faults.code_restorer import RestoredProcess
-from injector.tracing.perf_events import TriggerError
-from injector.tracing.process import Process, VanishedError, threads
-from injector.tracing.symbols import SymbolError, demangled, function_at, module_code
-from injector.tracing.tracees import StopError
-from services.models.faults.specification import FaultSpec
-from services.runtime import rng
-
-_DECIDED_ELSEWHERE = ("scope", "trigger", "components", "point")
+from deploy.compose.wrapper import run_announced
+from deploy.errors import BadSpecError
+from zenfi.injection import InjectionRequest, inject_process
 
 
 class Range(click.ParamType[tuple[float, float]]):
@@ -55,118 +42,6 @@ class Range(click.ParamType[tuple[float, float]]):
             what = "N or N-M from 1 on" if self._whole else "seconds, or two numbers of seconds: S or S-T"
             self.fail(f"expected {what}, got {value!r}", param, ctx)
         return bounds
-
-
-@dataclass(frozen=True, slots=True)
-class InjectionRequest:
-    """The options of ``zenfi inject``; of two numbers, one in between is drawn.
-
-    :raises BadSpecError: if they contradict each other.
-    """
-
-    pid: int | None
-    node: str | None
-    stack: str | None
-    symbol: str | None
-    module: str | None
-    thread: int | None
-    fault: str
-    call: tuple[int, int] | None
-    step: int | None
-    cpu_s: tuple[float, float] | None
-    after_s: tuple[float, float] | None
-    seed: int
-    dry_run: bool
-    watch_s: float
-    limit_s: float
-
-    def __post_init__(self) -> None:
-        if self.symbol is None and (self.call, self.step) != (None, None):
-            raise BadSpecError("--call and --step go with --symbol")
-        if self.step is not None and self.cpu_s is not None:
-            raise BadSpecError("--step and --cpu-s both say where in the call: leave out one")
-        if (self.pid is None) == (self.node is None) or (self.stack is not None and self.node is None):
-            raise BadSpecError("--pid or --node says which process; --stack goes with --node")
-
-
-def inject_process(asked: InjectionRequest) -> ProcessInjection:
-    """Inject one fault into a process. One that ends during the attachment counts as ended before the fault.
-
-    :raises BadSpecError: if the process, the function or the fault cannot be had.
-    :raises InfrastructureError: if one of its threads does not stop.
-    """
-    stack = the_stack(asked.stack) if asked.node is not None else None
-    claim = claim_of(stack, asked.node) if stack is not None and asked.node is not None else None
-    pid = claim.pid if claim is not None else asked.pid or 0
-    fault = _fault(asked, pid)
-    try:
-        restored = fault.model == "opcode" and not asked.dry_run
-        with admit(pid, RestoredProcess if restored else Process) as process:
-            if claim is not None and stack is not None:
-                verify(stack, claim)  # now that its pid cannot change hands
-            name = name_of(pid)
-            try:
-                return _attach_and_inject(asked, process, fault)
-            except (VanishedError, AttachRefusedError, SymbolError, TriggerError) as error:
-                if process.alive and not isinstance(error, VanishedError):
-                    raise
-            return ended_before(pid, name, fault, node=asked.node or "", dry_run=asked.dry_run)
-    except (AttachRefusedError, SymbolError, TriggerError) as error:
-        raise BadSpecError(str(error)) from error
-    except StopError as error:
-        raise InfrastructureError(str(error)) from error
-
-
-def _attach_and_inject(asked: InjectionRequest, process: Process, fault: FaultSpec) -> ProcessInjection:
-    aim, function = _aim(asked, process)
-    return inject_into(
-        process,
-        aim,
-        fault,
-        rng.generator(asked.seed, "any process"),
-        node=asked.node or "",
-        function=function,
-        library=asked.module or "",
-        dry_run=asked.dry_run,
-        watch_s=asked.watch_s,
-    )
-
-
-def _fault(asked: InjectionRequest, pid: int) -> FaultSpec:
-    fields = fault_fields(asked.fault)
-    for name in _DECIDED_ELSEWHERE:
-        if name in fields:
-            message = (
-                f"--fault: {name} goes with flights; here --symbol, --module and the other options say it"
-            )
-            raise BadSpecError(message)
-    target = asked.symbol or asked.module or f"pid {pid}"
-    spec = FaultSpec.model_validate({"target": target, "seed": asked.seed, **fields})
-    check_machine(spec)
-    return spec
-
-
-def _aim(asked: InjectionRequest, process: Process) -> tuple[AttachTarget, str]:
-    """Where to inject, and the name of the function there, if one was asked for."""
-    if asked.thread is not None:
-        check_thread(process.pid, asked.thread)
-    maps = process.maps()
-    if next(maps.code(), None) is None:  # one that is about to end has no memory any more
-        raise VanishedError(ENDED)
-    symbol, module = asked.symbol, asked.module
-    entry, mangled = function_at(process.pid, maps, symbol, module or "") if symbol else (0, "")
-    every = (tuple(threads(process.pid)) if symbol else ()) or (process.pid,)
-    aim = AttachTarget(
-        tids=(asked.thread,) if asked.thread else every,
-        entry=entry,
-        code=module_code(maps, module) if module and not symbol else (),
-        call=asked.call or (1, 1),
-        step=asked.step,
-        cpu_s=asked.cpu_s,
-        after_s=asked.after_s or (0.0, 0.0),
-        limit_s=asked.limit_s,
-    )
-    return aim, demangled(mangled)
 
 
 @click.command(short_help="Inject one fault into any process.")
@@ -233,13 +108,12 @@ def inject(*, as_json: bool, **typed: Any) -> None:
 
     Exit status 0 if the fault was injected (or all was done but the flip), 1 if not, 2 if it was refused.
     """
-    asked = InjectionRequest(**typed)
-    done = inject_process(asked)
+    done = inject_process(InjectionRequest(**typed))
     if as_json:
         click.echo(done.model_dump_json(by_alias=True))
     else:
         Console(highlight=False, soft_wrap=True).print(card(done), markup=False)
-    if done.injection.status != "injected" and not (asked.dry_run and done.injection.bits):
+    if done.injection.status != "injected" and not (typed["dry_run"] and done.injection.bits):
         sys.exit(1)
 
 

@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
-import time
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 
 import click
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
-from dashboard.analysis.kernel_study import RESULTS, WAYS, KernelSummary, OutcomeShare, divided, summarise
-from dashboard.terminal.options import as_json, fault_fields
-from deploy.config.check import check_kernel, check_machine
-from deploy.kernel_study.file import StudyFile
-from deploy.kernel_study.study import Study
+from dashboard.analysis.kernel_study import RESULTS, WAYS, KernelSummary, OutcomeShare, divided
+from dashboard.terminal.options import as_json
 from injector.kernel_study.study import StudyRun
-from services.kernels import KERNELS
-from services.models.faults.specification import FaultSpec
+from zenfi.kernels import kernel_studies
 
 PAPERS = ("octomap", "rrt", "rrt_connect", "rrt_star", "pid")
 _GROUPS = 12
@@ -59,32 +51,17 @@ def run(
     as_json: bool,
 ) -> None:
     """Strike each kernel on its recorded sample; outcomes with 95 % intervals."""
-    for name in names:
-        check_kernel(name)
-    fields = fault_fields(fault)
-    faults = {name: FaultSpec.model_validate({"target": name, **fields}) for name in names}
-    for aimed in faults.values():
-        check_machine(aimed)
+    studies = kernel_studies(
+        names, injections, seed=seed, slots=slots, fault=fault, output=output, progress=True
+    )
     found: dict[str, list[StudyRun]] = {}
     summaries = []
-    with closing(StudyFile(output)) as file, Progress(console=Console(stderr=True)) as progress:
-        sections = {name: file.section(name, aimed, seed) for name, aimed in faults.items()}
-        for name, section in sections.items():
-            known = set(section.runs)
-            task = progress.add_task(name, total=injections, completed=min(len(known), injections))
-            begin = time.monotonic()
-            study = Study(
-                name, faults[name], injections, seed, slots or len(os.sched_getaffinity(0)), section
-            )
-            found[name] = study.run(lambda _, task=task: progress.advance(task))  # type: ignore[misc]
-            made = sum(one.index not in known for one in found[name])
-            section.finish(found[name])
-            rates = made / (time.monotonic() - begin), 1e3 * study.cpu_s / made if made else 0.0
-            assert section.length is not None  # noqa: S101 - the study is made
-            summaries.append(summarise(name, KERNELS[name].unit, found[name], section.length, *rates))
-            if as_json:
-                for one in found[name]:
-                    click.echo(one.model_dump_json(by_alias=True))
+    for study in studies:
+        found[study.kernel] = study.runs
+        summaries.append(study.summary)
+        if as_json:
+            for one in study.runs:
+                click.echo(one.model_dump_json(by_alias=True))
     if as_json:
         click.echo(json.dumps({"summary": [line.model_dump() for line in summaries]}))
         return

@@ -12,14 +12,10 @@ from rich.console import Console
 
 from dashboard.analysis import tables
 from dashboard.commands.ros2 import RosOptions, in_domain, shown_in_ros
-from dashboard.terminal.options import DETECTOR_FORM, FAULT_FORM, as_json, detector_fields, parse_fault
-from deploy.config.check import check
-from deploy.config.definitions import inlined
+from dashboard.terminal.options import as_json
+from deploy.config.written_faults import DETECTOR_FORM, FAULT_FORM, parse_fault
 from deploy.doctor import examine
-from deploy.errors import BadSpecError, InfrastructureError
-from deploy.mission.fork_server import ForkServer
-from deploy.pairing.golden_twin import PairFlyer
-from services.models.mission import MissionSpec
+from zenfi.missions import fly_mission, mission_of
 
 
 @click.command()
@@ -96,24 +92,10 @@ def fly(
         fields["guards"] = [] if guards == "none" else guards.split(",")
     if time_factor is not None:
         fields["harm"] = {"time_factor": time_factor}
-    if detector is not None:
-        fields["detector"] = detector_fields(detector)
-    if fault is not None:
-        fields["fault"] = parse_fault(fault, fault_seed, fault_over)
-    spec = MissionSpec.model_validate(inlined(fields))
-    check(spec)
-    if record is not None and not record.parent.is_dir():
-        message = f"--record {record}: there is no folder {record.parent}"
-        raise BadSpecError(message)
+    aimed = parse_fault(fault, fault_seed, fault_over) if fault is not None else None
+    spec = mission_of(fault=aimed, detector=detector, **fields)
     with in_domain(ros, spec) as watch:
-        server = ForkServer()
-        try:
-            outcome = PairFlyer(server, watch).fly(spec, record)
-        finally:
-            server.close()
-    if outcome.recording is not None and outcome.recording.problem:
-        message = f"recording {record}: {outcome.recording.problem}"
-        raise InfrastructureError(message)
+        outcome = fly_mission(spec, record, watch)
     if as_json:
         click.echo(outcome.model_dump_json(by_alias=True))
     else:

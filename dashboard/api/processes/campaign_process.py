@@ -22,7 +22,7 @@ from dashboard.campaigns.session import scheduling
 from dashboard.campaigns.state_machine import CampaignStates
 from dashboard.campaigns.store.database import StoreError
 from dashboard.campaigns.store.listing import CampaignLine, line
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 from deploy.errors import BadSpecError, InfrastructureError
 from deploy.recording.flight_status import FlightStatus
@@ -49,7 +49,7 @@ def _leave(_signal: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _fly(store: Store, campaign: Campaign, slots: int | None) -> None:
+def _fly(store: Store, campaign: CampaignEntry, slots: int | None) -> None:
     failed = False
     try:
         if campaign.phase not in FINAL:
@@ -68,7 +68,7 @@ def _fly(store: Store, campaign: Campaign, slots: int | None) -> None:
         _say(ProcessMessage(kind="campaign", event=line(store, store.find(campaign.label))))
 
 
-def _watch(scheduler: Scheduler, campaign: Campaign) -> None:
+def _watch(scheduler: Scheduler, campaign: CampaignEntry) -> None:
     before: dict[int, FlightStatus] = {}
 
     def look(run: int, present: FlightStatus, sight: FlightSnapshot | None) -> None:
@@ -98,7 +98,7 @@ def _watch(scheduler: Scheduler, campaign: Campaign) -> None:
         raise
 
 
-def _ended(campaign: Campaign, one: Finished) -> RunEvent:
+def _ended(campaign: CampaignEntry, one: Finished) -> RunEvent:
     result = Result.of(one.outcome) if one.outcome is not None else None
     return RunEvent(
         campaign=campaign.label,
@@ -110,7 +110,7 @@ def _ended(campaign: Campaign, one: Finished) -> RunEvent:
     )
 
 
-def _progress(campaign: Campaign, states: CampaignStates) -> CampaignLine:
+def _progress(campaign: CampaignEntry, states: CampaignStates) -> CampaignLine:
     return CampaignLine(
         campaign=campaign.label,
         phase=states.phase,

@@ -23,7 +23,7 @@ from dashboard.api.processes.events import ProcessEvent
 from dashboard.campaigns import commands
 from dashboard.campaigns.spec import CampaignSpec, cells
 from dashboard.campaigns.store.listing import line
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import BusyError, Store
 from deploy.errors import BadSpecError
 from deploy.recording.snapshot import FlightSnapshot
@@ -148,12 +148,12 @@ class _Lane:
             if campaign is None:
                 self.notified.wait(LOOK_S)
 
-    def _next(self) -> Campaign | None:
+    def _next(self) -> CampaignEntry | None:
         wanted = self._store.to_be_flown()
         mine = (one for one in wanted if self._mine(one.spec) and one.label not in self._given_up)
         return next(mine, None)
 
-    def _fly(self, campaign: Campaign) -> None:
+    def _fly(self, campaign: CampaignEntry) -> None:
         before = self._store.progress(campaign)["done"]
         try:
             process = self._started(campaign)
@@ -172,7 +172,7 @@ class _Lane:
         else:
             self._leaving.wait(2.0**self._failures - 1)
 
-    def _not_begun(self, campaign: Campaign, why: str) -> None:
+    def _not_begun(self, campaign: CampaignEntry, why: str) -> None:
         """Try again in a while, but not for ever: others wait behind it."""
         logger.warning("%s cannot be set up: %s", campaign.label, why)
         self._failures += 1
@@ -189,7 +189,7 @@ class _Lane:
             "campaign", stands.model_dump_json(), campaign.label, f"campaign {campaign.label}"
         )
 
-    def _started(self, campaign: Campaign) -> subprocess.Popen[bytes]:
+    def _started(self, campaign: CampaignEntry) -> subprocess.Popen[bytes]:
         """Start the process of a campaign, with its log among the artefacts.
 
         :raises OSError, BadSpecError: if it has no folder, or no process can be started.

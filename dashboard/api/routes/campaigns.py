@@ -24,7 +24,7 @@ from dashboard.campaigns.store.listing import (
     files,
     line,
 )
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import RepeatedError
 from deploy.errors import BadSpecError
 from services.models.base import Strict
@@ -100,7 +100,7 @@ class CampaignDetail(CampaignLine):
     trouble: str = Field(default="", description="why the service does not go on with it")
 
 
-def detail(service: Service, campaign: Campaign) -> CampaignDetail:
+def detail(service: Service, campaign: CampaignEntry) -> CampaignDetail:
     """The progress of a campaign with its specification and files."""
     stands = line(service.store, service.store.find(campaign.label))
     trouble = service.runner.given_up.get(campaign.label, "")
@@ -124,7 +124,7 @@ def admitted(service: Service, spec: CampaignSpec) -> CampaignSpec:
     return spec
 
 
-def create(service: Service, spec: CampaignSpec, request: str | None, response: Response) -> Campaign:
+def create(service: Service, spec: CampaignSpec, request: str | None, response: Response) -> CampaignEntry:
     """Store a campaign to be flown; the one that ``request`` has made already, if it has.
 
     :raises BadSpecError: if it is not :func:`admitted`.
@@ -143,7 +143,7 @@ def create(service: Service, spec: CampaignSpec, request: str | None, response: 
     return campaign
 
 
-def tell(service: Service, campaign: Campaign) -> CampaignDetail:
+def tell(service: Service, campaign: CampaignEntry) -> CampaignDetail:
     """Publish the progress of a campaign to the streams and return it."""
     told = detail(service, campaign)
     event = told.model_dump_json(include=set(CampaignLine.model_fields))

@@ -19,7 +19,7 @@ from dashboard.api.service import CampaignDep, Service, ServiceDep
 from dashboard.campaigns.commands import ConflictError
 from dashboard.campaigns.spec import Arm, CampaignSpec
 from dashboard.campaigns.store.listing import CampaignLine, RunLine, RunQuery, line, run_page
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from deploy.recording.flight_status import FlightStatus
 from deploy.recording.snapshot import FlightSnapshot
 from services.models.base import Strict
@@ -114,7 +114,7 @@ def _created(service: Service, mission: MissionSpec, response: Response, request
     return _flight(service, made)
 
 
-def _flight(service: Service, campaign: Campaign) -> FlightInfo:
+def _flight(service: Service, campaign: CampaignEntry) -> FlightInfo:
     if not is_flight(campaign.spec):
         message = f"{campaign.label} is a campaign of many flights"
         raise NotFoundError(message)

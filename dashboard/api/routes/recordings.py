@@ -12,7 +12,7 @@ from dashboard.api.problems import NotFoundError, documented
 from dashboard.api.processes.rerun_process import RecordedFlight, rerun
 from dashboard.api.routes.runs import RunId, repeatable
 from dashboard.api.service import CampaignDep, Service, ServiceDep
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 
 MEDIA_TYPE = "application/vnd.mcap"
 
@@ -31,7 +31,7 @@ class Recordings(NamedTuple):
         return self.flight.is_file() and self.twin.is_file()
 
 
-def recordings(service: Service, campaign: Campaign, run: int) -> Recordings:
+def recordings(service: Service, campaign: CampaignEntry, run: int) -> Recordings:
     """The paths of the recordings of a run and its twin."""
     folder = service.store.artefacts(campaign)
     return Recordings(folder / f"run-{run}.mcap", folder / f"run-{run}.golden.mcap")

@@ -18,7 +18,7 @@ from dashboard.campaigns.store.listing import (
     run_page,
     stored_run,
 )
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from deploy.errors import BadSpecError
 from deploy.pairing.replay import Replay
 from services.models.outcome import InjectionRecord, Outcome
@@ -64,7 +64,7 @@ def read_injection(service: ServiceDep, campaign: CampaignDep, run: RunId) -> In
     return record
 
 
-def repeatable(service: Service, campaign: Campaign, run: int) -> Outcome:
+def repeatable(service: Service, campaign: CampaignEntry, run: int) -> Outcome:
     """The outcome of a run that can be flown again to the same bytes.
 
     :raises BadSpecError: if it cannot.
@@ -106,5 +106,5 @@ def read_series(service: ServiceDep, campaign: CampaignDep, run: RunId) -> Fligh
     return FlightSeries.model_validate_json(path.read_text())
 
 
-def _series_file(service: Service, campaign: Campaign, run: int) -> FilePath:
+def _series_file(service: Service, campaign: CampaignEntry, run: int) -> FilePath:
     return service.store.artefacts(campaign) / f"run-{run}.series.json"

@@ -12,7 +12,7 @@ from dashboard.campaigns.flight_record import FlightRecord, Result
 from dashboard.campaigns.spec import Cell
 from dashboard.campaigns.statistics.differences import quantile_interval
 from dashboard.campaigns.statistics.proportions import Interval, Pairs, holm, mcnemar, newcombe_paired
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 from deploy.errors import BadSpecError
 from services.models.base import Strict
@@ -147,7 +147,7 @@ def _twin(result: Result) -> Quality:
 
 
 def side_by_side(
-    store: Store, campaign: Campaign, other: Campaign | None, against: str | None
+    store: Store, campaign: CampaignEntry, other: CampaignEntry | None, against: str | None
 ) -> list[Comparison]:
     """Each cell beside its golden twins, the cell of its name in ``other``, or that of the arm ``against``.
 

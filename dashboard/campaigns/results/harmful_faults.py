@@ -14,7 +14,7 @@ from typing import Any, Literal
 from pydantic import ValidationError
 
 from dashboard.campaigns.store.listing import stored_run
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 from deploy.errors import BadSpecError
 from services.bus.topics import TOPICS
@@ -67,7 +67,7 @@ def _struck(fault: FaultSpec, record: InjectionRecord) -> dict[str, Any]:
     return found | {"site": None if fault.trigger is None else fault.trigger.model_dump(mode="json")}
 
 
-def harmful_faults(store: Store, campaign: Campaign) -> Iterator[HarmfulFault]:
+def harmful_faults(store: Store, campaign: CampaignEntry) -> Iterator[HarmfulFault]:
     """The faults that harmed a mission of a campaign, in the order of its runs."""
     for record in store.records(campaign):
         if record.result is None or not record.result.harm:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import sqlalchemy as sa
 
 from dashboard.campaigns.statistics.proportions import wilson
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.schema import ResultRow, RunRow
 from dashboard.campaigns.store.store import Store
 from services.models.base import Strict
@@ -41,7 +41,7 @@ class InjectionGroup(Strict):
     results: dict[str, int]
 
 
-def injected_flights(store: Store, found: Campaign) -> list[InjectedFlight]:
+def injected_flights(store: Store, found: CampaignEntry) -> list[InjectedFlight]:
     """Every injected flight of a campaign, in the order of planning."""
     # PostgreSQL has a type for JSON, SQLite has functions for its text.
     text = store.database.engine.dialect.name == "sqlite"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import sqlalchemy as sa
 
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.schema import ResultRow, RunRow
 from dashboard.campaigns.store.store import Store
 
@@ -20,7 +20,7 @@ class RelatedRun:
     result: str
 
 
-def related_runs(store: Store, campaign: Campaign, run: int) -> list[RelatedRun]:
+def related_runs(store: Store, campaign: CampaignEntry, run: int) -> list[RelatedRun]:
     """The same flight in the other arms, in the order of planning; none if there is no such run."""
     this = sa.select(RunRow.world, RunRow.fault, RunRow.number).where(
         RunRow.campaign_id == campaign.id, RunRow.id == run
@@ -39,7 +39,7 @@ def related_runs(store: Store, campaign: Campaign, run: int) -> list[RelatedRun]
         return [RelatedRun(row.id, row.arm, row.result or "") for row in connection.execute(query)]
 
 
-def same_flights(store: Store, campaign: Campaign, digest: str) -> list[int]:
+def same_flights(store: Store, campaign: CampaignEntry, digest: str) -> list[int]:
     """Runs whose flight has this digest: the same to the bit, such as a golden twin that an arm flew too."""
     query = (
         sa.select(RunRow.id)

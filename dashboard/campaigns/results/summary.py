@@ -13,7 +13,7 @@ from dashboard.campaigns.flight_record import FlightRecord, Result
 from dashboard.campaigns.results.detection_effects import EFFECTS, Effect, effects
 from dashboard.campaigns.spec import Cell, cells, unprotected_arms
 from dashboard.campaigns.statistics.proportions import median_interval, wilson
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 from services.models.base import Strict
 
@@ -49,7 +49,7 @@ class CellSummary(Strict):
     effects: dict[Effect, int] = Field(description="what the detector made of the faults, if there is one")
 
 
-def summary(store: Store, found: Campaign) -> list[CellSummary]:
+def summary(store: Store, found: CampaignEntry) -> list[CellSummary]:
     """What a campaign has found so far."""
     return summarise(cells(found.spec), store.records(found), unprotected_arms(found.spec))
 

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from dashboard.campaigns.flight_record import Result
 from dashboard.campaigns.state_machine import CampaignPhase, RunPhase
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.schema import ResultRow, RunRow
 from dashboard.campaigns.store.store import Store
 from deploy.errors import BadSpecError
@@ -117,12 +117,12 @@ class CampaignListing(Strict):
     next: int | None
 
 
-def line(store: Store, one: Campaign) -> CampaignLine:
+def line(store: Store, one: CampaignEntry) -> CampaignLine:
     """The phase and the progress of a campaign."""
     return _line(store, one, store.progress(one))
 
 
-def _line(store: Store, one: Campaign, counts: Counter[str]) -> CampaignLine:
+def _line(store: Store, one: CampaignEntry, counts: Counter[str]) -> CampaignLine:
     phase: Phase = one.phase
     if phase == "running" and not store.is_flying(one):
         phase = "interrupted"
@@ -139,7 +139,7 @@ def _line(store: Store, one: Campaign, counts: Counter[str]) -> CampaignLine:
     )
 
 
-def files(store: Store, one: Campaign) -> dict[str, Files]:
+def files(store: Store, one: CampaignEntry) -> dict[str, Files]:
     """What became of the files of runs: kept, dropped, over quota."""
     return {fate: Files(runs=runs, bytes=size) for fate, (runs, size) in store.file_counts(one).items()}
 
@@ -157,7 +157,7 @@ def campaign_page(store: Store, limit: int, before: int | None) -> CampaignListi
     return CampaignListing(campaigns=lines, next=found[limit - 1].id if len(found) > limit else None)
 
 
-def arm_lines(store: Store, campaigns: Sequence[Campaign]) -> dict[str, list[ArmLine]]:
+def arm_lines(store: Store, campaigns: Sequence[CampaignEntry]) -> dict[str, list[ArmLine]]:
     """The success of every arm that has flown, by the campaign's label, in the order of the specification."""
     query = (
         sa.select(
@@ -182,7 +182,7 @@ def arm_lines(store: Store, campaigns: Sequence[Campaign]) -> dict[str, list[Arm
     }
 
 
-def run_page(store: Store, campaign: Campaign, asked: RunQuery) -> RunListing:
+def run_page(store: Store, campaign: CampaignEntry, asked: RunQuery) -> RunListing:
     """Some of a campaign's runs; those without a result come last where a result's column orders them.
 
     :raises BadSpecError: if ``asked.after`` is not what a page has said.
@@ -206,7 +206,7 @@ def run_page(store: Store, campaign: Campaign, asked: RunQuery) -> RunListing:
     )
 
 
-def stored_run(store: Store, campaign: Campaign, number: int) -> StoredRun | None:
+def stored_run(store: Store, campaign: CampaignEntry, number: int) -> StoredRun | None:
     """The run of that id, if it is one of the campaign's."""
     query = (
         sa.select(RunRow.__table__, *(getattr(ResultRow, name) for name in _RESULT), ResultRow.outcome)

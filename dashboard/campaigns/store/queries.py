@@ -39,7 +39,7 @@ class UnknownCampaignError(BadSpecError):
 
 
 @dataclass(frozen=True, slots=True)
-class Campaign:
+class CampaignEntry:
     """A campaign as stored; ``label`` is what people call it.
 
     ``desired_state`` is the last command that its process has not carried out yet.
@@ -94,13 +94,13 @@ class StoreQueries:
 
     # -- campaigns ---------------------------------------------------------------------------------
 
-    def campaigns(self) -> list[Campaign]:
+    def campaigns(self) -> list[CampaignEntry]:
         """All campaigns, the oldest first."""
         with self.database.reading() as connection:
             query = sa.select(CampaignRow.__table__).where(CampaignRow.deleted == "")
             return [_campaign(row) for row in connection.execute(query.order_by(CampaignRow.id))]
 
-    def newest(self, limit: int, before: int | None = None) -> list[Campaign]:
+    def newest(self, limit: int, before: int | None = None) -> list[CampaignEntry]:
         """So many campaigns with numbers below ``before``, the newest first."""
         query = sa.select(CampaignRow.__table__).where(CampaignRow.deleted == "")
         query = query.order_by(CampaignRow.id.desc()).limit(limit)
@@ -109,20 +109,20 @@ class StoreQueries:
         with self.database.reading() as connection:
             return [_campaign(row) for row in connection.execute(query)]
 
-    def requested(self, request: str) -> Campaign | None:
+    def requested(self, request: str) -> CampaignEntry | None:
         """The campaign that a request created."""
         query = sa.select(CampaignRow.__table__).where(CampaignRow.request == request)
         with self.database.reading() as connection:
             row = connection.execute(query.where(CampaignRow.deleted == "")).first()
         return _campaign(row) if row is not None else None
 
-    def to_be_flown(self) -> list[Campaign]:
+    def to_be_flown(self) -> list[CampaignEntry]:
         """The campaigns that a service is to fly, the oldest first."""
         query = sa.select(CampaignRow.__table__).where(CampaignRow.wish == "fly", CampaignRow.deleted == "")
         with self.database.reading() as connection:
             return [_campaign(row) for row in connection.execute(query.order_by(CampaignRow.id))]
 
-    def find(self, label: str) -> Campaign:
+    def find(self, label: str) -> CampaignEntry:
         """The campaign of that label or number.
 
         :raises UnknownCampaignError: if there is none.
@@ -136,7 +136,7 @@ class StoreQueries:
                 return _campaign(row)
         raise UnknownCampaignError(label, self.place)
 
-    def desired_state(self, campaign: Campaign) -> str:
+    def desired_state(self, campaign: CampaignEntry) -> str:
         """The state that was asked for last; empty if nothing is asked for."""
         with self.database.reading() as connection:
             query = sa.select(CampaignRow.wish).where(CampaignRow.id == campaign.id)
@@ -144,7 +144,7 @@ class StoreQueries:
 
     # -- runs and results --------------------------------------------------------------------------
 
-    def states(self, campaign: Campaign) -> CampaignStates:
+    def states(self, campaign: CampaignEntry) -> CampaignStates:
         """Where a campaign and its runs stand."""
         query = sa.select(RunRow.id, RunRow.phase, RunRow.attempts, RunRow.lease, RunRow.error)
         with self.database.reading() as connection:
@@ -152,7 +152,7 @@ class StoreQueries:
             found = {row.id: RunState(row.phase, row.attempts, row.lease, row.error) for row in rows}
         return CampaignStates(found, campaign.spec.limits.attempts, campaign.phase, campaign.reason)
 
-    def planned(self, campaign: Campaign) -> dict[int, Run]:
+    def planned(self, campaign: CampaignEntry) -> dict[int, Run]:
         """Every run by its id, in the order of planning."""
         query = sa.select(RunRow.id, RunRow.arm, RunRow.number, RunRow.spec, RunRow.fault)
         with self.database.reading() as connection:
@@ -162,14 +162,14 @@ class StoreQueries:
                 for row in rows
             }
 
-    def progress(self, campaign: Campaign) -> Counter[str]:
+    def progress(self, campaign: CampaignEntry) -> Counter[str]:
         """How many runs are in each phase."""
         query = sa.select(RunRow.phase, sa.func.count()).group_by(RunRow.phase)
         with self.database.reading() as connection:
             rows = connection.execute(query.where(RunRow.campaign_id == campaign.id))
             return Counter({row[0]: row[1] for row in rows})
 
-    def file_counts(self, campaign: Campaign) -> dict[str, tuple[int, int]]:
+    def file_counts(self, campaign: CampaignEntry) -> dict[str, tuple[int, int]]:
         """What became of the files of runs: how many runs, and their bytes."""
         query = (
             sa.select(ResultRow.artefact, sa.func.count(), sa.func.sum(ResultRow.artefact_bytes))
@@ -180,7 +180,7 @@ class StoreQueries:
         with self.database.reading() as connection:
             return {row[0]: (row[1], int(row[2])) for row in connection.execute(query)}
 
-    def replay_counts(self, campaign: Campaign) -> dict[str, int]:
+    def replay_counts(self, campaign: CampaignEntry) -> dict[str, int]:
         """How many runs were flown again, by what came of it the last time."""
         query = (
             sa.select(ResultRow.replay, sa.func.count())
@@ -191,7 +191,7 @@ class StoreQueries:
         with self.database.reading() as connection:
             return {row[0]: row[1] for row in connection.execute(query)}
 
-    def records(self, campaign: Campaign) -> Iterator[FlightRecord]:
+    def records(self, campaign: CampaignEntry) -> Iterator[FlightRecord]:
         """Every run with its result, in the order of planning."""
         query = (
             sa.select(
@@ -236,10 +236,10 @@ def _make_folder(root: Path) -> None:
         raise BadSpecError(message) from error
 
 
-def _campaign(row: Any) -> Campaign:
+def _campaign(row: Any) -> CampaignEntry:
     try:
         spec = CampaignSpec.model_validate_json(row.spec)
     except ValidationError as error:
         message = f"{row.name}-{row.id}: stored by another version of zenfi: {one_line(error)}"
         raise BadSpecError(message) from error
-    return Campaign(row.id, spec, row.phase, row.reason, row.created, row.wish)
+    return CampaignEntry(row.id, spec, row.phase, row.reason, row.created, row.wish)

@@ -21,7 +21,7 @@ from dashboard.campaigns.recording import FileState
 from dashboard.campaigns.spec import CampaignSpec, Run, runs
 from dashboard.campaigns.state_machine import CampaignStates, RunState
 from dashboard.campaigns.store import removal
-from dashboard.campaigns.store.queries import Campaign, StoreQueries
+from dashboard.campaigns.store.queries import CampaignEntry, StoreQueries
 from dashboard.campaigns.store.schema import CampaignRow, ResultRow, RunRow
 from deploy.errors import BadSpecError
 from services.models.outcome import Outcome
@@ -57,7 +57,7 @@ class Store(StoreQueries):
 
     def create(
         self, spec: CampaignSpec, desired_state: DesiredState = "", request: str | None = None
-    ) -> Campaign:
+    ) -> CampaignEntry:
         """Store a campaign with all its runs, queued.
 
         :raises RepeatedError: if a campaign of that ``request`` is there already.
@@ -73,9 +73,9 @@ class Store(StoreQueries):
                 raise RepeatedError(request) from error
             assert key is not None  # noqa: S101 - an insert has one
             connection.execute(sa.insert(RunRow), [_row(int(key[0]), run) for run in runs(spec)])
-        return Campaign(int(key[0]), spec, "queued", "", created, desired_state)
+        return CampaignEntry(int(key[0]), spec, "queued", "", created, desired_state)
 
-    def artefacts(self, campaign: Campaign) -> Path:
+    def artefacts(self, campaign: CampaignEntry) -> Path:
         """The folder for a campaign's files, made if need be.
 
         :raises BadSpecError: if it cannot be made, or lies outside the folder of artefacts, by a link.
@@ -98,7 +98,7 @@ class Store(StoreQueries):
             raise BadSpecError(message)
         return folder
 
-    def delete(self, campaign: Campaign) -> None:
+    def delete(self, campaign: CampaignEntry) -> None:
         """Remove a campaign with its runs, results and files; killed midway, nobody is shown what is left.
 
         :raises BusyError: if it is being flown.
@@ -114,7 +114,7 @@ class Store(StoreQueries):
             removal.remove(self.database, number, folder)
 
     @contextmanager
-    def lock(self, campaign: Campaign) -> Iterator[None]:
+    def lock(self, campaign: CampaignEntry) -> Iterator[None]:
         """Be the only one that writes to a campaign.
 
         :raises BusyError: if somebody else is.
@@ -128,7 +128,7 @@ class Store(StoreQueries):
                 raise BadSpecError(message)
             yield
 
-    def is_flying(self, campaign: Campaign) -> bool:
+    def is_flying(self, campaign: CampaignEntry) -> bool:
         """Whether some process is flying a campaign."""
         try:
             with self.lock(campaign):
@@ -136,7 +136,7 @@ class Store(StoreQueries):
         except BusyError:
             return True
 
-    def set_desired_state(self, campaign: Campaign, desired: DesiredState) -> None:
+    def set_desired_state(self, campaign: CampaignEntry, desired: DesiredState) -> None:
         """Ask the process that flies a campaign to reach a state."""
         with self.database.writing() as connection:
             connection.execute(
@@ -150,7 +150,7 @@ class Store(StoreQueries):
 
     def write(
         self,
-        campaign: Campaign,
+        campaign: CampaignEntry,
         states: CampaignStates,
         changed: Sequence[int],
         flown: Mapping[int, Outcome],

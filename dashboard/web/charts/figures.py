@@ -11,7 +11,7 @@ import numpy as np
 from dashboard.campaigns.flight_record import FlightRecord
 from dashboard.campaigns.results.summary import CellSummary, summarise
 from dashboard.campaigns.spec import Cell, cells, unprotected_arms
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 
 MOST_DOTS = 1200
@@ -52,7 +52,7 @@ class Figures:
     flights: list[CellFlights]
 
 
-def figures(store: Store, found: Campaign) -> Figures:
+def figures(store: Store, found: CampaignEntry) -> Figures:
     """Compute the summary and the points of a campaign."""
     order = cells(found.spec)
     records = list(store.records(found))

@@ -9,7 +9,7 @@ from nicegui import ui
 
 from dashboard.api.routes.flights import HandMadeFault, NewFlight, create_flight, inject_by_hand
 from dashboard.api.service import Service
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.web.components.frame import ask, told
 from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS
 from services.models.faults.specification import FaultSpec
@@ -60,7 +60,7 @@ def flight_form(service: Service, made: Made) -> None:
     ui.button("Fly", icon="flight_takeoff", on_click=fly).classes("submit").props("no-caps")
 
 
-def fault_form(service: Service, campaign: Campaign, made: Made) -> None:
+def fault_form(service: Service, campaign: CampaignEntry, made: Made) -> None:
     """Ask for a fault and inject it into ``campaign`` now."""
     planner = campaign.spec.mission.planner
     idle = {name for name in PLANNERS if name != planner} | set(GOAL_KERNELS)

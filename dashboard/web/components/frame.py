@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from dashboard.api.problems import NotFoundError, NotReadyError
 from dashboard.api.service import Service
 from dashboard.campaigns.store.database import StoreError
-from dashboard.campaigns.store.queries import Campaign, UnknownCampaignError
+from dashboard.campaigns.store.queries import CampaignEntry, UnknownCampaignError
 from deploy.compose.folder import StackError
 from deploy.errors import BadSpecError, InfrastructureError, one_line
 
@@ -139,7 +139,7 @@ async def ask(question: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
     return await run_in_threadpool(question, *args, **kwargs)
 
 
-async def find(service: Service, label: str) -> Campaign | None:
+async def find(service: Service, label: str) -> CampaignEntry | None:
     """The campaign of that label; None after the page was told that there is none."""
     try:
         return await ask(service.store.find, label)

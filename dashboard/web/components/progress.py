@@ -15,10 +15,10 @@ from dashboard.api.service import Service
 from dashboard.campaigns.forecast import forecast
 from dashboard.campaigns.spec import CampaignSpec
 from dashboard.campaigns.store.listing import CampaignLine
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.web.components.frame import ask, confirmed, told
 
-ACTIONS: dict[str, Callable[[Service, Campaign], object]] = {
+ACTIONS: dict[str, Callable[[Service, CampaignEntry], object]] = {
     "pause": api.pause_campaign,
     "resume": api.resume_campaign,
     "cancel": api.cancel_campaign,

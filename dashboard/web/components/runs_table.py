@@ -13,7 +13,7 @@ from dashboard.api.service import Service
 from dashboard.campaigns.spec import cells
 from dashboard.campaigns.state_machine import RunPhase
 from dashboard.campaigns.store.listing import Order, RunLine, RunListing, RunQuery, run_page
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.web.components import browser
 from dashboard.web.components.breakdown import fill
 from dashboard.web.components.frame import ask, told
@@ -54,7 +54,7 @@ class RunsTable:
     """Filters, the table, and ways to the next page; :meth:`refresh` brings it up to date."""
 
     def __init__(
-        self, service: Service, campaign: Campaign, watched: WatchedCampaign, query: RunQuery
+        self, service: Service, campaign: CampaignEntry, watched: WatchedCampaign, query: RunQuery
     ) -> None:
         self._service, self._campaign, self._watched, self._query = service, campaign, watched, query
         self._before: list[str | None] = []

@@ -15,7 +15,7 @@ from dashboard.api.service import Service
 from dashboard.campaigns.results.compare import side_by_side
 from dashboard.campaigns.results.injection_groups import injected_flights
 from dashboard.campaigns.store.listing import RunListing, RunQuery, run_page
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.web.charts.figures import figures
 from dashboard.web.components.findings import Findings, InjectionFindings
 from dashboard.web.components.frame import ask
@@ -139,7 +139,7 @@ class WatchedCampaign:
         status = await self.status()
         return await shared.get(status.mark, hurry=status.still)
 
-    def _campaign(self) -> Campaign:
+    def _campaign(self) -> CampaignEntry:
         return self._service.store.find(self._label)
 
     def _look(self) -> CampaignStatus:

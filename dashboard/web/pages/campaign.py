@@ -14,7 +14,7 @@ from dashboard.analysis import tables
 from dashboard.api.routes.campaigns import CampaignDetail
 from dashboard.api.service import Service
 from dashboard.campaigns.store.listing import RunQuery
-from dashboard.campaigns.store.queries import Campaign, UnknownCampaignError
+from dashboard.campaigns.store.queries import CampaignEntry, UnknownCampaignError
 from dashboard.web.components.breakdown import Breakdown, fill, show
 from dashboard.web.components.browser import while_in_front
 from dashboard.web.components.findings import QUALITY_TITLES, Findings, InjectionFindings
@@ -84,7 +84,7 @@ class CampaignPage:
     """The content of the page of a campaign."""
 
     def __init__(
-        self, service: Service, campaign: Campaign, watched: WatchedCampaign, query: RunQuery
+        self, service: Service, campaign: CampaignEntry, watched: WatchedCampaign, query: RunQuery
     ) -> None:
         self._service, self._campaign, self._watched = service, campaign, watched
         self._findings: Findings | None = None

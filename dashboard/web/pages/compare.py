@@ -11,7 +11,7 @@ from nicegui import ui
 from dashboard.api.service import Service
 from dashboard.campaigns.results.compare import Comparison, side_by_side
 from dashboard.campaigns.results.summary import CellSummary, summary
-from dashboard.campaigns.store.queries import Campaign, UnknownCampaignError
+from dashboard.campaigns.store.queries import CampaignEntry, UnknownCampaignError
 from dashboard.web.charts import charts
 from dashboard.web.components import browser
 from dashboard.web.components.breakdown import draw
@@ -100,7 +100,7 @@ class _Page:
             _beside(compared)
             _qualities(summaries)
 
-    def _choose(self, found: Campaign | None, second: str, arm: str) -> None:
+    def _choose(self, found: CampaignEntry | None, second: str, arm: str) -> None:
         self._choice.clear()
         first = found.label if found is not None else self._known[0]
         arms = [f"arm {one.name}" for one in found.spec.arms] if found is not None else []

@@ -11,7 +11,7 @@ from nicegui import ui
 from dashboard.api.service import Service
 from dashboard.campaigns.statistics.proportions import wilson
 from dashboard.campaigns.store.listing import LARGEST_ID, ArmLine, CampaignLine, arm_lines, campaign_page
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.web.components.browser import while_in_front
 from dashboard.web.components.frame import REFUSED, ask, frame, nothing, trouble
 from dashboard.web.components.progress import Actions, Progress, time_left
@@ -26,7 +26,7 @@ class Glance:
     """What the card of a campaign shows."""
 
     line: CampaignLine
-    found: Campaign
+    found: CampaignEntry
     arms: list[ArmLine]
     left: str
 

@@ -17,7 +17,7 @@ from dashboard.api.routes.runs import read_run
 from dashboard.api.service import Service
 from dashboard.campaigns.state_machine import OPEN
 from dashboard.campaigns.store.listing import LARGEST_ID, RunQuery, StoredRun, line, run_page, stored_run
-from dashboard.campaigns.store.queries import Campaign, UnknownCampaignError
+from dashboard.campaigns.store.queries import CampaignEntry, UnknownCampaignError
 from dashboard.web.charts.curves import Chart, Curve
 from dashboard.web.charts.flight_style import GOLDEN, INJECTED, RECOMPUTED, STRUCK
 from dashboard.web.charts.pictures import depth_picture, map_picture
@@ -236,7 +236,13 @@ class _Watched:
     """One flight as it goes on, in the place of the one before."""
 
     def __init__(
-        self, service: Service, places: _Places, campaign: Campaign, run: int, spec: MissionSpec, world: World
+        self,
+        service: Service,
+        places: _Places,
+        campaign: CampaignEntry,
+        run: int,
+        spec: MissionSpec,
+        world: World,
     ) -> None:
         self._service, self._campaign, self._run, self._world = service, campaign, run, world
         self._tracks = {True: Track(True), False: Track(False)}

@@ -20,7 +20,7 @@ from dashboard.campaigns.results.detection_effects import effect
 from dashboard.campaigns.results.related_runs import RelatedRun, related_runs, same_flights
 from dashboard.campaigns.spec import unprotected_arms
 from dashboard.campaigns.store.listing import StoredRun
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.web.components.frame import REFUSED, absent, ask, find, frame, nothing, section, told, trouble
 from dashboard.web.components.injection_card import injection_card
 from dashboard.web.components.parts import facts, log, table
@@ -55,7 +55,7 @@ def register(service: Service) -> None:
 class RunPage:
     """The content of the page of a run."""
 
-    def __init__(self, service: Service, campaign: Campaign, stored: StoredRun) -> None:
+    def __init__(self, service: Service, campaign: CampaignEntry, stored: StoredRun) -> None:
         self._service, self._campaign, self._stored = service, campaign, stored
 
     async def draw(self) -> None:

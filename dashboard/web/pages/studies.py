@@ -14,7 +14,7 @@ from dashboard.api.service import Service
 from dashboard.campaigns.flight_record import FlightRecord
 from dashboard.campaigns.presets import presets
 from dashboard.campaigns.statistics.proportions import Interval
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 from dashboard.web.charts import charts
 from dashboard.web.components.breakdown import draw
@@ -30,7 +30,7 @@ LOOKED_AT = 200
 KERNEL_STUDY = "kernel_study.jsonl"
 """The file in the store's folder that is shown here."""
 
-Studied = dict[str, tuple[Campaign, list[FlightRecord]]]
+Studied = dict[str, tuple[CampaignEntry, list[FlightRecord]]]
 
 
 def studied(store: Store) -> Studied:

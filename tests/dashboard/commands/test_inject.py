@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 
-from dashboard.commands import inject as inject_command
 from injector.attach import permission
 from injector.attach.injection import inject_into
 from injector.attach.permission import admit, name_of, not_permitted
@@ -25,6 +24,7 @@ from tests.dashboard import command
 from tests.dashboard.command import ZENFI, Answer, zenfi
 from tests.injector.cpp_program import mapper, running_program
 from tests.injector.programs import HAS_AVX512, state
+from zenfi import injection as zenfi_injection
 
 NOBODY = 65534
 
@@ -131,9 +131,9 @@ def ended_once(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
         return inject_into(process, *details, **more)
 
     if request.param == "admitted":
-        monkeypatch.setattr(inject_command, "admit", admit_and_end)
+        monkeypatch.setattr(zenfi_injection, "admit", admit_and_end)
     else:
-        monkeypatch.setattr(inject_command, "inject_into", end_and_inject)
+        monkeypatch.setattr(zenfi_injection, "inject_into", end_and_inject)
 
 
 @pytest.mark.usefixtures("ended_once")
@@ -193,7 +193,7 @@ def test_one_that_becomes_another_program_meanwhile_is_refused(monkeypatch: pyte
             wait_until(lambda: name_of(pid) == "sleep")
             return admitted
 
-        monkeypatch.setattr(inject_command, "admit", admit_and_let_go)
+        monkeypatch.setattr(zenfi_injection, "admit", admit_and_let_go)
         try:
             said = refusal("--pid", process.pid)
             assert said == (
@@ -255,7 +255,7 @@ def test_names_that_are_not_there_or_not_only_once(mapper: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (("--call", "3"), "--call and --step go with --symbol"),
+        (("--call", "3"), "call and step go with symbol"),
         (("--symbol", "main", "--step", "1", "--cpu-s", "1"), "leave out one"),
         (("--after-s", "5-1"), "'5-1'"),
         (("--call", "0"), "'0'"),

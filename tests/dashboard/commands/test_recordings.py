@@ -42,7 +42,7 @@ def test_only_a_flight_and_its_own_twin_are_compared(flights: dict[str, Path], t
 
 
 def test_a_recording_has_to_have_a_folder(tmp_path: Path) -> None:
-    assert "--record" in refusal("fly", "--record", tmp_path / "none" / "run.mcap")
+    assert "record" in refusal("fly", "--record", tmp_path / "none" / "run.mcap")
 
 
 def test_the_laboratory_has_foxglove_if_it_is_asked_for() -> None:

@@ -18,7 +18,7 @@ from dashboard.campaigns.spec import Arm, CampaignSpec, Condition
 from dashboard.campaigns.state_machine import CampaignStates
 from dashboard.campaigns.store import postgresql
 from dashboard.campaigns.store.database import StoreFullError, migrate
-from dashboard.campaigns.store.queries import Campaign
+from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.schema import Base
 from dashboard.campaigns.store.store import BusyError, Store
 from deploy.errors import BadSpecError
@@ -44,7 +44,7 @@ def outcome(digest: str = "d") -> Outcome:
     )
 
 
-def flown(store: Store, campaign: Campaign, run: int) -> CampaignStates:
+def flown(store: Store, campaign: CampaignEntry, run: int) -> CampaignStates:
     """Write one flown run."""
     states = store.states(campaign)
     for event in (Begin(), Leased("l", (run,), 9.0), RunStarted("l", run), Flown("l", run)):
