@@ -132,9 +132,9 @@ class Campaign:
 
     def forecast(self, *, slots: int | None = None, store: Place = None) -> Forecast:
         """What it takes of time and disk, and which differences it can tell."""
-        limits = self.spec.limits
+        at_a_time = slots_of(self.spec.executor, slots, self.spec.limits.lease_s)  # before a store is made
         with closing(Store(_at(store))) as opened:
-            return forecast(self.spec, opened, slots_of(self.spec.executor, slots, limits.lease_s))
+            return forecast(self.spec, opened, at_a_time)
 
     def create(self, *, store: Place = None) -> StoredCampaign:
         """Store it without flying it yet."""
