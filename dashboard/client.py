@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import json
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, Self, TypeVar
 
 import httpx
 from pydantic import BaseModel, TypeAdapter
@@ -278,7 +279,23 @@ class FlightsClient:
         return self._connection.ask(FlightInfo, "POST", f"/flights/{label}/faults", json=body)
 
 
-class Client:
+class ClosedOnExit(ABC):
+    """Something that is closed when a ``with`` block is left."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of what it holds."""
+
+
+class Client(ClosedOnExit):
     """A client of the service at ``address``; its attributes have the methods of each resource.
 
     :raises RequestRefusedError: from every method, if the service answers with an error.
@@ -289,14 +306,6 @@ class Client:
         self.campaigns = CampaignsClient(self._connection)
         self.runs = RunsClient(self._connection)
         self.flights = FlightsClient(self._connection)
-
-    def __enter__(self) -> Client:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the connections to the service."""

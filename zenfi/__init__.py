@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dashboard.analysis.recordings_reader import FlightRecording, open_run
     from dashboard.analysis.table import Table
+    from dashboard.client import RequestRefusedError
     from deploy.errors import BadSpecError, DisturbedFlightError, InfrastructureError
     from services.models.faults.specification import FaultSpec
     from services.models.mission import MissionSpec
@@ -37,6 +38,7 @@ _FROM = {
     "InfrastructureError": "deploy.errors",
     "MissionSpec": "services.models.mission",
     "Outcome": "services.models.outcome",
+    "RequestRefusedError": "dashboard.client",
     "StoredCampaign": "zenfi.campaign",
     "Table": "dashboard.analysis.table",
     "campaigns": "zenfi.campaign",
@@ -61,6 +63,7 @@ __all__ = [
     "InfrastructureError",
     "MissionSpec",
     "Outcome",
+    "RequestRefusedError",
     "StoredCampaign",
     "Table",
     "campaigns",

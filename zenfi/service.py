@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 from dashboard.analysis.table import Table
@@ -20,7 +19,7 @@ from dashboard.campaigns.results.compare import Comparison
 from dashboard.campaigns.results.summary import CellSummary
 from dashboard.campaigns.spec import CampaignSpec, Cell
 from dashboard.campaigns.store.listing import Phase
-from dashboard.client import Client
+from dashboard.client import Client, ClosedOnExit
 from dashboard.terminal.campaign_progress import CampaignProgress
 from deploy.errors import InfrastructureError
 from services.models.mission import MissionSpec
@@ -39,23 +38,15 @@ POLL_S = 0.25
 _ENDED = ("done", "failed", "cancelled")
 
 
-class ConnectedService:
+class ConnectedService(ClosedOnExit):
     """A service at an address; to be closed, or entered.
 
-    :raises dashboard.client.RequestRefusedError: from every method, if the service refuses.
+    :raises RequestRefusedError: from every method, if the service refuses.
     """
 
     def __init__(self, client: Client) -> None:
         self.client = client
         """Requests that have no word of their own here."""
-
-    def __enter__(self) -> ConnectedService:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the connections to the service."""

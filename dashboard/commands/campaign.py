@@ -32,6 +32,7 @@ from deploy.errors import BadSpecError
 from zenfi.campaign import Campaign, StoredCampaign
 
 Command = Callable[..., Any]
+messages = Console(stderr=True)
 in_slots = click.option(
     "--slots", type=click.IntRange(1, 256), help="Flights at a time (default: one per processor)."
 )
@@ -157,13 +158,11 @@ def show(label: str, store: str, as_json: bool, svg: Path | None) -> None:
             click.echo(json.dumps({**told, "spec": found.spec.model_dump(mode="json")}))
         else:
             reason = f" ({told['reason']})" if told["reason"] else ""
-            _messages().print(
-                f"{found.label}: {told['phase']}{reason}, {told['done']} of {told['runs']} flown"
-            )
+            messages.print(f"{found.label}: {told['phase']}{reason}, {told['done']} of {told['runs']} flown")
             if told["files"]:
-                _messages().print(tables.files(told["files"]))
+                messages.print(tables.files(told["files"]))
             if told["replays"]:
-                _messages().print(tables.replays(told["replays"]))
+                messages.print(tables.replays(told["replays"]))
         tell(found.label, found.spec.name, told["phase"], summary(opened, found), as_json, svg)
 
 
@@ -267,7 +266,7 @@ def _run_new(asked: Campaign, slots: int | None, store: str, as_json: bool, svg:
     if as_json:
         click.echo(json.dumps({"campaign": created.label, "forecast": plan.model_dump()}))
     else:
-        _messages().print(tables.forecast(created.label, plan))
+        messages.print(tables.forecast(created.label, plan))
     _fly(created, None, slots, None, as_json, svg)
 
 
@@ -293,9 +292,9 @@ def _fly(
     phase = campaign.phase
     tell(campaign.label, campaign.spec.name, phase, campaign.summary(), as_json, svg)
     if phase == "cancelled":
-        _messages().print(f"{campaign.label} was cancelled")
+        messages.print(f"{campaign.label} was cancelled")
     if phase == "paused":
-        _messages().print(f"{campaign.label} is paused: go on with zenfi campaign resume {campaign.label}")
+        messages.print(f"{campaign.label} is paused: go on with zenfi campaign resume {campaign.label}")
     if phase != "done":
         sys.exit(1)
 
@@ -306,10 +305,6 @@ def _tell_flight(label: str, one: Finished) -> None:
         click.echo(json.dumps({**head, "error": one.error}))
     else:
         click.echo(json.dumps({**head, "outcome": one.outcome.model_dump(mode="json", by_alias=True)}))
-
-
-def _messages() -> Console:
-    return Console(stderr=True)
 
 
 def _line(store: Store, one: CampaignEntry) -> dict[str, Any]:

@@ -99,6 +99,8 @@ def test_a_service_flies_the_same(flown: zenfi.StoredCampaign, tmp_path: Path) -
         assert service.fly(seed=7).digest == zenfi.fly(seed=7).digest
         assert "guards-1" in [one.label for one in service.campaigns()]
         assert service.open_campaign("guards-1").spec == flown.spec
+        with pytest.raises(zenfi.RequestRefusedError, match="guards-9"):
+            service.open_campaign("guards-9")
 
 
 @pytest.mark.parametrize(
