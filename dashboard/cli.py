@@ -34,6 +34,7 @@ COMMANDS = {
     "inject": LazyCommand("inject", "Inject one fault into any process."),
     "kernels": LazyCommand("kernels", "Faults in kernels alone, thousands of them."),
     "logs": LazyCommand("stack", "The logs of a stack's processes."),
+    "plugins": LazyCommand("mission", "What other installed packages add to zenfi."),
     "propagation": LazyCommand("recordings", "How the error of a recorded flight passed on, by topic."),
     "ps": LazyCommand("stack", "What the processes of a stack are doing."),
     "redundancy": LazyCommand("redundancy", "Velocity and flight time with one, two, three computers."),

@@ -292,7 +292,7 @@ class ClosedOnExit(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of what it holds."""
+        """Close the connection to the service and whatever else it holds."""
 
 
 class Client(ClosedOnExit):

@@ -19,6 +19,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
 
+from services.system import plug_ins
+
 if TYPE_CHECKING:
     from services.models.faults.specification import FaultSpec
     from services.runtime.kernel_trial import KernelOutput, KernelTrial, Sample
@@ -77,9 +79,11 @@ class Kernel:
         return same_shape and bool(np.isclose(one.values, other.values, rtol=0.0, atol=self.tolerance).all())
 
 
-def _planner(name: str) -> Kernel:
-    entry = "services.planning.planners:plan"
-    return Kernel(name, "planning", entry, ("libompl",), "PlannerTrial", (0.1,), "m at each corner")
+_PLAN = "services.planning.planners:plan"
+
+
+def _planner(name: str, modules: tuple[str, ...] = ("libompl",)) -> Kernel:
+    return Kernel(name, "planning", _PLAN, modules, "PlannerTrial", (0.1,), "m at each corner")
 
 
 _TABLE = (
@@ -155,12 +159,28 @@ _TABLE = (
 KERNELS: Mapping[str, Kernel] = MappingProxyType({kernel.name: kernel for kernel in _TABLE})
 
 
+def find_kernel(name: str) -> Kernel | None:
+    """The kernel of that name: one of the table, else a planner that another package adds; None: neither.
+
+    :raises UnknownPlugInError: if there is such a planner, but it cannot be used.
+    """
+    if name in KERNELS or not plug_ins.is_installed("planners", name):
+        return KERNELS.get(name)
+    return _planner(name, plug_ins.load("planners", name).modules)
+
+
+def is_planner(name: str) -> bool:
+    """Whether a kernel plans: one that a mission chooses one of."""
+    return name in PLANNERS or (name not in KERNELS and plug_ins.is_installed("planners", name))
+
+
 def aimed_at(fault: FaultSpec) -> str:
     """The stage that a fault strikes; one that an own stack replaces goes by its own name."""
     if fault.at_equipment:
         return "sim"
     if fault.level == "instruction":
-        return KERNELS[fault.target].stage if fault.target in KERNELS else fault.target
+        kernel = find_kernel(fault.target)
+        return fault.target if kernel is None else kernel.stage
     from services.models.inter_kernel_states import members  # noqa: PLC0415 - the table is cheap to import
 
     return members(fault.target)[0].stage
@@ -168,13 +188,11 @@ def aimed_at(fault: FaultSpec) -> str:
 
 def scope_of(fault: FaultSpec) -> Literal["kernel", "thread"]:
     """The code that a fault strikes: of a kernel of ours its own, unless all of the thread's is asked for."""
-    return fault.scope or ("kernel" if fault.target in KERNELS else "thread")
+    return fault.scope or ("thread" if find_kernel(fault.target) is None else "kernel")
 
 
-PLANNERS: tuple[str, ...] = tuple(
-    name for name, kernel in KERNELS.items() if kernel.entry.endswith("planners:plan")
-)
-"""The kernels that a mission chooses one of."""
+PLANNERS: tuple[str, ...] = tuple(name for name, kernel in KERNELS.items() if kernel.entry == _PLAN)
+"""The planners that come along: a mission chooses one of them, or one that another package adds."""
 
 GOAL_KERNELS: Mapping[str, str] = MappingProxyType(
     {"scanning": "lawn_mower", "mapping": "frontier", "search": "frontier"}

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
+from services.models.plug_ins import WorldGenerator
 from services.models.safety import BODY_RADIUS_M
 from services.models.world import (
     DRAWN_TOP_M,
@@ -24,12 +25,14 @@ from services.models.world import (
     ClusteredWorld,
     ForestWorld,
     GatesWorld,
+    GeneratedWorld,
     GridWorld,
     Point,
     TrafficWorld,
     WorldDefinition,
 )
 from services.runtime.rng import generator
+from services.system import plug_ins
 from sim.generators import Scattered, scatter_forest, scatter_gates, scatter_traffic
 from sim.moving import NONE_MOVING, rows_of, swept
 
@@ -38,10 +41,13 @@ Floats = NDArray[np.float64]
 KEEP_OUT_M = 3.0
 """No drawn obstacle stands closer to start or goal: the safety body and as much again."""
 
+MOST_BOXES = 100_000
+"""Boxes of a world at most."""
+
 ATTEMPTS = 1000
 """Draws after which a world that leaves the straight way free is given up."""
 
-DrawnWorld = GridWorld | ClusteredWorld | ForestWorld | GatesWorld | TrafficWorld
+DrawnWorld = GridWorld | ClusteredWorld | ForestWorld | GatesWorld | TrafficWorld | GeneratedWorld
 
 DEFINITION: TypeAdapter[WorldDefinition] = TypeAdapter(WorldDefinition)
 
@@ -101,7 +107,9 @@ def definition(name: str) -> WorldDefinition:
     :raises BadWorldError: if there is none.
     """
     if name not in world_names():
-        message = f"unknown world {name!r}; known: {', '.join(world_names())}"
+        if plug_ins.is_installed("worlds", name):
+            return GeneratedWorld(name=name, kind="generated", generator=name)
+        message = f"unknown world {name!r}; known: {', '.join((*world_names(), *plug_ins.names('worlds')))}"
         raise BadWorldError(message)
     return DEFINITION.validate_python(tomllib.loads((files("sim") / "worlds" / f"{name}.toml").read_text()))
 
@@ -213,6 +221,30 @@ def _scatter_clusters(wanted: ClusteredWorld, rng: np.random.Generator) -> Scatt
     return Scattered(_towers(wanted, corner[rng.random((columns, rows)) < probability]))
 
 
+def _scatter_generated(wanted: GeneratedWorld, rng: np.random.Generator) -> Scattered:
+    """Boxes of a generator that another package adds.
+
+    :raises BadWorldError: naming the generator and what is wrong with its parameters, or with what it draws.
+    """
+    what = f"world {wanted.name}: generator {wanted.generator}"
+    added: WorldGenerator = plug_ins.load("worlds", wanted.generator)
+    try:
+        parameters = added.parameters.model_validate(wanted.parameters)
+    except ValidationError as error:
+        first = error.errors()[0]
+        message = f"{what}: {'.'.join(map(str, ('parameters', *first['loc'])))}: {first['msg']}"
+        raise BadWorldError(message) from error
+    boxes = np.array(added.draw(wanted, parameters, rng), dtype=np.float64)
+    if boxes.ndim != 2 or boxes.shape[1] != 6 or not 0 < len(boxes) <= MOST_BOXES:
+        message = f"{what} drew an array {boxes.shape}, not (n, 6) with n from 1 to {MOST_BOXES}"
+        raise BadWorldError(message)
+    bad = np.flatnonzero(~(np.isfinite(boxes).all(axis=1) & (boxes[:, :3] < boxes[:, 3:]).all(axis=1)))
+    if len(bad):
+        message = f"{what} drew {_text(boxes[bad[0]].tolist())}: lower corner not below the upper"
+        raise BadWorldError(message)
+    return Scattered(boxes)
+
+
 def _cells(wanted: GridWorld | ClusteredWorld, cell_m: float) -> tuple[int, int]:
     """How many cells fit the area along x and y."""
     width, depth = (wanted.upper[axis] - wanted.lower[axis] for axis in (0, 1))
@@ -236,6 +268,7 @@ GENERATORS: Mapping[str, Callable[[Any, np.random.Generator], Scattered]] = Mapp
         "forest": scatter_forest,
         "gates": scatter_gates,
         "traffic": scatter_traffic,
+        "generated": _scatter_generated,
     }
 )
 """By kind: what draws the obstacles of a world."""
@@ -243,7 +276,7 @@ GENERATORS: Mapping[str, Callable[[Any, np.random.Generator], Scattered]] = Mapp
 _STATED = ("density", "obstacle_m", "difficulty", "stems_per_ha", "clearance_m", "movers")
 
 
-def _text(numbers: tuple[float, ...]) -> str:
+def _text(numbers: Sequence[float]) -> str:
     return "[" + ", ".join(f"{value:g}" for value in numbers) + "]"
 
 

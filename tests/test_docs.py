@@ -19,8 +19,9 @@ FOLDERS = ("services", "sim", "injector", "detector", "deploy", "dashboard", "ze
 QUOTED = re.compile(r"`([^`\n]+)`")
 PATH = re.compile(rf"(?:{'|'.join(FOLDERS)})(?:/[\w.*-]+)+/?")
 DOTTED = re.compile(rf"(?:{'|'.join(FOLDERS)})(?:\.\w+)+(?::\w+(?:\.\w+)?)?(?:\(\w*\))?")
-NOT_OURS = {"zenfi.detectors", "zenfi.sqlite", "zenfi/stack/HOST/NAME"}
-"""An entry point, a file and a key of the bus, which are called as modules of ours could be."""
+KINDS = ("detectors", "guards", "masks", "pilots", "planners", "signals", "worlds")
+NOT_OURS = {"zenfi.sqlite", "zenfi/stack/HOST/NAME", *(f"zenfi.{kind}" for kind in KINDS)}
+"""A file, a key of the bus and groups of entry points, which are called as modules of ours could be."""
 
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)

@@ -12,7 +12,7 @@ from services.models.equipment import Camera, Imu, MapSettings, Motion, Odometry
 from services.models.mission import Area, Limits
 from services.models.oracles.harm import HarmSpec
 from services.models.own_stack import OwnStack
-from services.models.pilots import GuardName, Pace, PilotName
+from services.models.pilots import Pace
 from services.models.platform import PlatformDefinition
 from services.models.world import WorldDefinition
 
@@ -37,8 +37,8 @@ class MissionFields(TypedDict, total=False):
     odometry: Odometry | Fields
     mapping: MapSettings | Fields
     motion: Motion | Fields
-    pilot: PilotName
-    guards: Sequence[GuardName] | None
+    pilot: str
+    guards: Sequence[str] | None
     pace: Pace | Fields
     wind: Wind | Fields
     detector: DetectorSpec | Fields | str | None

@@ -1,4 +1,4 @@
-"""``zenfi fly`` and ``zenfi doctor``: single missions, and whether this machine can fly them."""
+"""``zenfi fly``, ``doctor`` and ``plugins``: fly one mission, and what this installation has for it."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from typing import Any
 
 import click
 from rich.console import Console
+from rich.table import Table
 
 from dashboard.analysis import tables
 from dashboard.commands.ros2 import RosOptions, in_domain, shown_in_ros
 from dashboard.terminal.options import as_json
 from deploy.config.written_faults import DETECTOR_FORM, FAULT_FORM, parse_fault
 from deploy.doctor import examine
+from services.system import plug_ins
 from zenfi.missions import fly_mission, mission_of
 
 
@@ -114,3 +116,25 @@ def doctor(as_json: bool) -> None:
         Console().print(tables.findings(findings))
     if not all(finding.ok for finding in findings):
         sys.exit(1)
+
+
+@click.command()
+@as_json
+def plugins(as_json: bool) -> None:
+    """List planners, guards, worlds, pilots, masks, signals and detectors that are installed by entry point.
+
+    Each is imported to see whether it works; exit status 1 if one does not.
+    """
+    found = plug_ins.listing()
+    if as_json:
+        for one in found:
+            click.echo(json.dumps(one._asdict()))
+    else:
+        table = Table("kind", "name", "package", "where", "state", box=None)
+        for one in found:
+            table.add_row(
+                one.kind, one.name, f"{one.package} {one.version}", one.value, one.problem or "works"
+            )
+        Console().print(table)
+    if any(one.problem for one in found):
+        raise SystemExit(1)

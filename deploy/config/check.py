@@ -7,18 +7,23 @@ import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from deploy.config.platform import check_latency, load_platform
+from deploy.config.platform import check_latency, latencies
+from deploy.config.plug_ins import used_plug_ins
 from deploy.errors import BadSpecError
 from detector.errors import DetectionInputError
 from detector.schemes.registry import in_flight
 from injector.capabilities import check as preflight
 from injector.isa.host import AbsentError, require
-from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS, aimed_at
+from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS, aimed_at, find_kernel, is_planner
 from services.models.faults.specification import FaultSpec
 from services.models.inter_kernel_states import GROUPS, STATES, members
 from services.models.mission import MissionSpec
+from services.models.oracles.properties import refuse_unknown_signal
 from services.models.own_stack import OwnStack, OwnStage
+from services.models.pilots import ALL_GUARDS, find_guard
 from services.runtime.source_fault import eligible
+from services.system import plug_ins
+from services.system.shared_stats import MAX_GUARDS
 from sim.mission.area import corners
 from sim.vehicle.airframe import airframe
 from sim.world import make_world
@@ -29,13 +34,15 @@ def check(spec: MissionSpec) -> None:
 
     :raises BadSpecError: naming the field and what would be right.
     """
-    _known("planner", spec.planner, PLANNERS)
+    if not is_planner(spec.planner):
+        _known("planner", spec.planner, (*PLANNERS, *plug_ins.names("planners")))
     try:
+        _check_plug_ins(spec)
         world = make_world(spec.world, spec.seed)
         if spec.mission != "navigation":
             corners(spec.area, world)
         airframe(spec.airframe)
-        load_platform(spec.platform)
+        latencies(spec.platform, spec.planner)
         if spec.detector is not None:
             in_flight(spec.detector)
             check_latency(spec.platform, spec.detector)
@@ -47,6 +54,25 @@ def check(spec: MissionSpec) -> None:
         _check_source(spec.fault)
     elif spec.fault is not None and spec.fault.level == "instruction":
         _check_instruction(spec.fault, spec)
+
+
+def _check_plug_ins(spec: MissionSpec) -> None:
+    """Refuse what no table declares and no other package adds, or what cannot be imported.
+
+    :raises ValueError: in one line.
+    """
+    for name in spec.active_guards:
+        find_guard(name)
+    added = spec.active_guards - ALL_GUARDS
+    if len(ALL_GUARDS) + len(added) > MAX_GUARDS:
+        message = (
+            f"guards: {len(added)} of other packages; at most {MAX_GUARDS - len(ALL_GUARDS)} act at once"
+        )
+        raise ValueError(message)
+    for text in spec.properties:
+        refuse_unknown_signal(text)
+    for place in used_plug_ins(spec):
+        plug_ins.load(*place.split("/"))
 
 
 def _check_stack(stack: OwnStack, spec: MissionSpec) -> None:
@@ -98,7 +124,7 @@ def _check_instruction(fault: FaultSpec, spec: MissionSpec) -> None:
     check_kernel(target)
     if fault.recurs_in_instructions:
         _check_recurrence(fault, spec)
-    if target in PLANNERS and target != spec.planner:
+    if is_planner(target) and target != spec.planner:
         message = f"kernel {target!r} never runs with planner {spec.planner!r}: choose --planner {target}"
         raise BadSpecError(message)
     if target in GOAL_KERNELS.values() and target != GOAL_KERNELS.get(spec.mission):
@@ -111,7 +137,7 @@ def _check_recurrence(fault: FaultSpec, spec: MissionSpec) -> None:
     if spec.clock != "lockstep":
         message = f"fault: recurrence {fault.recurrence} flies in virtual time: leave out --clock realtime"
         raise BadSpecError(message)
-    if fault.recurrence == "rate" and not load_platform(spec.platform).kernels[fault.target].mean_ms:
+    if fault.recurrence == "rate" and not latencies(spec.platform, spec.planner)[fault.target].mean_ms:
         message = f"fault: {fault.target} takes no time on this platform, so no upset comes in it"
         raise BadSpecError(message)
 
@@ -151,7 +177,8 @@ def check_kernel(name: str) -> None:
 
     :raises BadSpecError: naming those that are.
     """
-    _known("kernel", name, KERNELS)
+    if find_kernel(name) is None:
+        _known("kernel", name, (*KERNELS, *plug_ins.names("planners")))
 
 
 def _known(what: str, name: str, table: Iterable[str]) -> None:

@@ -6,9 +6,10 @@ import tomllib
 from functools import cache
 from importlib.resources import files
 
-from services.kernels import KERNELS
+from services.kernels import KERNELS, is_planner
 from services.models.detection import DetectorSpec
 from services.models.platform import KernelLatency, PlatformDefinition
+from services.system import plug_ins
 
 
 class BadPlatformError(ValueError):
@@ -40,13 +41,28 @@ def load_platform(asked: str | PlatformDefinition) -> PlatformDefinition:
         raise BadPlatformError(message)
     platform = _named(asked) if isinstance(asked, str) else asked
     missing = [kernel for kernel in KERNELS if kernel not in platform.kernels]
-    unknown = [kernel for kernel in platform.kernels if kernel not in KERNELS]
+    unknown = [kernel for kernel in platform.kernels if kernel not in KERNELS and not is_planner(kernel)]
     if missing or unknown:
         message = f"platform {platform.name}: " + (
             f"no latency for {', '.join(missing)}" if missing else f"unknown kernel {', '.join(unknown)}"
         )
         raise BadPlatformError(message)
     return platform
+
+
+def latencies(asked: str | PlatformDefinition, planner: str) -> dict[str, KernelLatency]:
+    """The latency of each kernel, that of a ``planner`` which another package adds among them.
+
+    :raises BadPlatformError: as :func:`load_platform`, or if the planner names no kernel for its latency.
+    """
+    kernels = load_platform(asked).kernels
+    if planner in kernels:
+        return kernels
+    stands_for = plug_ins.load("planners", planner).latency_as
+    if stands_for not in kernels:
+        message = f"planner {planner!r}: latency_as {stands_for!r} is no kernel; known: {', '.join(KERNELS)}"
+        raise BadPlatformError(message)
+    return {**kernels, planner: kernels[stands_for]}
 
 
 def check_latency(asked: str | PlatformDefinition, detector: DetectorSpec) -> KernelLatency:

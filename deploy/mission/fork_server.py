@@ -21,6 +21,7 @@ from deploy.mission.fork_protocol import EXIT_REAPER, MESSAGE_SIZE, ZENOH_RUNTIM
 from injector.reproducible import launch
 from services.bus.session import BusAddress
 from services.runtime.setup import NodeSetup
+from services.system import plug_ins
 from services.system.shared_stats import SharedStats
 
 _GONE = "the fork server is gone"
@@ -85,8 +86,9 @@ class ForkServer:
         told = json.loads(started)
         self.fixed_pids = bool(told["fixed_pids"])
         """Whether nodes have the same pids in every flight (:mod:`injector.reproducible.pid_namespace`)."""
-        self.installation = str(told["installation"])
-        """A name for all that decides on a node's code (:mod:`injector.reproducible.compiled_code`)."""
+        self.installation = "-".join(filter(None, (str(told["installation"]), plug_ins.digest())))
+        """A name for all that decides on a node's code (:mod:`injector.reproducible.compiled_code`), with the
+        plug-ins (:func:`services.system.plug_ins.digest`)."""
 
     @property
     def pid(self) -> int:

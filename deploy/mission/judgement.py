@@ -13,6 +13,8 @@ from services.models.mission import MissionSpec
 from services.models.oracles.harm import HarmEvent
 from services.models.oracles.properties import PropertyResult, evaluate, parse
 from services.models.outcome import Outcome
+from services.models.plug_ins import Signal
+from services.system import plug_ins
 from sim.mission.true_path import TruePath
 from sim.world import make_world
 
@@ -29,8 +31,23 @@ def judge_properties(spec: MissionSpec, path: TruePath, twin: TruePath) -> list[
     if not len(path.time_s) or not len(twin.time_s):
         raise InfrastructureError("the simulator has left no path to judge properties by")
     wanted = [parse(text) for text in spec.properties]
-    values = {name: _SIGNALS[name](spec, path, twin) for name in {one.signal for one in wanted}}
+    values = {name: _signal(name, spec, path, twin) for name in sorted({one.signal for one in wanted})}
     return [evaluate(one, path.time_s, values[one.signal]) for one in wanted]
+
+
+def _signal(name: str, spec: MissionSpec, path: TruePath, twin: TruePath) -> Floats:
+    """A signal over a flight's path (n,), of ours or one that another package adds.
+
+    :raises InfrastructureError: if another package's is not a number for each time of the path.
+    """
+    if name in _SIGNALS:
+        return _SIGNALS[name](spec, path, twin)
+    added: Signal = plug_ins.load("signals", name)
+    values = np.asarray(added.values(spec, path, twin), dtype=np.float64)
+    if values.shape != path.time_s.shape or np.isnan(values).any():
+        message = f"signal {name!r}: not one number for each of the {len(path.time_s)} times of the path"
+        raise InfrastructureError(message)
+    return values
 
 
 def judge_harm(flight: Outcome, twin: Outcome, end_ns: int) -> list[HarmEvent]:

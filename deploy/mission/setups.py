@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from deploy.config.platform import check_latency, load_platform
+from deploy.config.platform import check_latency, latencies
+from deploy.config.plug_ins import used_plug_ins
 from deploy.config.processes import ProcessDeclaration
 from services.kernels import KERNELS
 from services.models.detection import DETECTOR
@@ -15,7 +16,7 @@ from services.models.oracles.harm import HarmSpec
 from services.models.platform import KernelLatency
 from services.runtime.setup import NodeSetup
 
-SIMULATOR = "sim"
+SIMULATOR, PLANNING = "sim", "planning"
 
 
 def spec_for_stages(spec: MissionSpec) -> MissionSpec:
@@ -66,8 +67,9 @@ class NodeSetups:
             and (detector is not None or not one.with_detector)
             and not one.with_strikes
         ]
+        self._plug_ins = used_plug_ins(spec)
         self.names = [process.name for process in self.processes]
-        self._latencies: Mapping[str, KernelLatency] = load_platform(spec.platform).kernels
+        self._latencies: Mapping[str, KernelLatency] = latencies(spec.platform, spec.planner)
         if detector is not None:
             check = check_latency(spec.platform, detector)
             self._latencies = {**self._latencies, DETECTOR: check}
@@ -82,6 +84,7 @@ class NodeSetups:
             spec=self._spec if process.sidecar else spec_for_stages(self._spec),
             kernels=self._kernels(process.name),
             latencies=dict(self._latencies),
+            plug_ins=self._plug_ins,
             expected=self.names,
             clock=self._clock,
             true_path=self._true_path if process.name == SIMULATOR else None,
@@ -93,4 +96,5 @@ class NodeSetups:
             return [self._spec.detector.scheme]
         if self._spec.own_stage(name) is not None:
             return [name]
-        return [kernel.name for kernel in KERNELS.values() if kernel.stage == name]
+        own = [kernel.name for kernel in KERNELS.values() if kernel.stage == name]
+        return own if self._spec.planner in KERNELS or name != PLANNING else [*own, self._spec.planner]

@@ -22,7 +22,7 @@ from injector.tracing.process import tracer_of
 from services.bus.session import BusAddress
 from services.models.faults.specification import Trigger
 from services.models.outcome import KernelUse, NodeReport, NodeResult
-from services.models.pilots import GUARDS, GuardName
+from services.models.pilots import numbered
 from services.runtime.setup import NodeSetup
 from services.system.process_stat import main_thread_stat
 from services.system.shared_stats import COMPUTING, MESSAGING, WAITING, SharedStats
@@ -40,6 +40,7 @@ class SupervisedNode:
     stats: SharedStats
     log: Path
     kernels: list[str]
+    guards: tuple[str, ...]
     pid: int = 0
     pidfd: int = -1
     life: int = -1
@@ -67,8 +68,8 @@ class SupervisedNode:
         lines = self.log.read_text(errors="replace").strip().splitlines() if self.log.exists() else []
         return lines[-1] if lines else "no output"
 
-    def _guards(self, acted: list[int]) -> dict[GuardName, int]:
-        counts = dict(zip(GUARDS, acted, strict=False))
+    def _guards(self, acted: list[int]) -> dict[str, int]:
+        counts = dict(zip(self.guards, acted, strict=False))
         counts["restart"] = max(self.life, 0)
         return {name: times for name, times in counts.items() if times}
 
@@ -137,7 +138,8 @@ class Supervisor:
         member = self.members.get(process.name)
         if member is None:
             log = self._address.folder / f"{process.name}.log"
-            member = SupervisedNode(process, SharedStats.create(process.name), log, setup.kernels)
+            guards = numbered(setup.spec.active_guards)
+            member = SupervisedNode(process, SharedStats.create(process.name), log, setup.kernels, guards)
             if self._armed is not None:
                 member.stats.arm(self._armed.invocation, self._armed.after_ns)
             self.members[process.name] = member

@@ -45,6 +45,7 @@ from services.bus.topics import TOPICS
 from services.runtime import probe_gate
 from services.runtime.realtime import proxy
 from services.runtime.setup import NodeSetup
+from services.system import plug_ins
 from services.system.libc import libc
 from services.system.lifeline import die_with_parent
 from services.system.process_stat import listed_pid
@@ -285,6 +286,7 @@ def _run(end: socket.socket, modules: Mapping[str, ModuleType]) -> None:
     if tracer_pid:
         libc.prctl(_PR_SET_PTRACER, tracer_pid, 0, 0, 0)
     setup = NodeSetup.model_validate_json(receive(end, setup_size))
+    plug_ins.tell(setup.plug_ins)
     libc.prctl(_PR_SET_NAME, f"zenfi-{setup.name}".encode())
     stats = SharedStats(page)
     if setup.spec.own_stage(setup.name) is not None:

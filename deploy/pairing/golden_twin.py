@@ -30,7 +30,7 @@ from services.models.faults.specification import FaultSpec, Trigger
 from services.models.inter_kernel_states import members
 from services.models.mission import MissionSpec
 from services.models.outcome import GoldenTwin, InjectionRecord, NodeReport, Outcome
-from services.models.pilots import GUARDS
+from services.models.pilots import numbered
 from services.runtime import rng
 
 TWINS_KEPT = 16
@@ -255,7 +255,7 @@ def compare(flight: FlownMission, twin: FlownMission) -> Outcome:
                 result=golden.result,
                 qof=golden.qof,
                 digest=golden.digest,
-                guards=tuple(name for name in GUARDS if name in golden.acting_guards),
+                guards=tuple(name for name in numbered(golden.acting_guards) if name in golden.acting_guards),
             ),
             "propagation": passed_on,
             "harm": judge_harm(outcome, golden, flight.end_ns),

@@ -15,9 +15,9 @@ from deploy.mission.fork_server import ForkServer
 from deploy.pairing.flown_outcomes import FlownOutcomes
 from services.models.mission import MissionSpec
 from services.models.outcome import Outcome, Proof
-from services.models.pilots import GuardName
+from services.models.pilots import Guards
 
-ALWAYS: frozenset[GuardName] = frozenset(("dense",))
+ALWAYS: Guards = frozenset(("dense",))
 """Guards that shape every trajectory: they act wherever they are on."""
 
 
@@ -61,7 +61,7 @@ class IdleGuards:
         return hashlib.blake2b(told.encode(), digest_size=16).hexdigest()
 
 
-def _acted(outcome: Outcome) -> frozenset[GuardName]:
+def _acted(outcome: Outcome) -> Guards:
     """The guards that have changed anything, in a flight or in its golden twin."""
     assert outcome.golden is not None  # noqa: S101 - flown beside it
     acted = set(outcome.acting_guards)

@@ -23,7 +23,7 @@ from injector.strikes.results import StrikeRecord
 from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from services.models.outcome import NodeReport, Outcome, Proof, ProofBy
-from services.models.pilots import GUARDS
+from services.models.pilots import numbered
 
 
 class FlightClass(NamedTuple):
@@ -152,6 +152,7 @@ def _counted_the_same(found: StrikeRecord, twin: FlownMission) -> bool:
     assert counts is not None  # noqa: S101 - told of each that sent the same
     assert found.injection is not None  # noqa: S101 - asked before
     report: NodeReport = twin.outcome.nodes[found.injection.node]
-    guards = {name: times for name, times in zip(GUARDS, counts["guards"], strict=False) if times}
+    names = numbered(twin.outcome.spec.active_guards)
+    guards = {name: times for name, times in zip(names, counts["guards"], strict=False) if times}
     same = all(counts[name] == [getattr(report, name)] for name in _COUNTED)
     return same and guards == {name: times for name, times in report.guards.items() if name != "restart"}

@@ -13,6 +13,7 @@ from importlib.resources.abc import Traversable
 from services.models.base import Strict
 from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
+from services.system import plug_ins
 
 PACKAGES = ("eclipse-zenoh", "mujoco", "numba", "numpy", "ompl", "pyoctomap", "scipy")
 """What computes in a flight."""
@@ -30,6 +31,7 @@ class Installation(Strict):
     machine: str
     python: str
     packages: dict[str, str]
+    plug_ins: str = ""
 
     def difference(self, other: Installation) -> str:
         """The first thing in which another differs from this one, in words; empty if there is none."""
@@ -45,6 +47,7 @@ class Installation(Strict):
             "the machine": self.machine,
             "Python": self.python,
             **self.packages,
+            "the plug-ins": self.plug_ins or "none",
             "zenfi's code": self.sources,
         }
 
@@ -60,6 +63,7 @@ def own() -> Installation:
         machine=platform.machine(),
         python=".".join(platform.python_version_tuple()[:2]),
         packages={name: version(name) for name in PACKAGES},
+        plug_ins=plug_ins.digest(),
     )
 
 

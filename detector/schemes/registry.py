@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +11,9 @@ from detector.schemes.base import Scheme
 from detector.schemes.model_files import BadModelError, ModelFile, model_in, read_model, what_is_wrong
 from detector.series.monitored_states import ROWS, WATCHED
 from services.models.detection import DetectorSpec
+from services.system import plug_ins
 
-GROUP = "zenfi.detectors"
+KIND = "detectors"
 MODELS = Path(__file__).parents[1] / "models"
 """The trained models that come along: ``SCHEME.json``."""
 
@@ -23,14 +22,9 @@ class UnknownSchemeError(DetectionInputError):
     """No scheme of that name is installed, or its package is broken: one line."""
 
 
-@cache
-def _installed() -> dict[str, EntryPoint]:
-    return {point.name: point for point in sorted(entry_points(group=GROUP), key=lambda point: point.name)}
-
-
 def scheme_names() -> list[str]:
     """Names of the schemes that are installed, sorted."""
-    return list(_installed())
+    return plug_ins.names(KIND)
 
 
 def scheme(name: str) -> type[Scheme]:
@@ -38,18 +32,10 @@ def scheme(name: str) -> type[Scheme]:
 
     :raises UnknownSchemeError: if there is none, or it cannot be imported.
     """
-    point = _installed().get(name)
-    if point is None:
-        message = f"unknown detector {name!r}; installed: {', '.join(scheme_names()) or 'none'}"
-        raise UnknownSchemeError(message)
     try:
-        found = point.load()
-    except (ImportError, AttributeError) as error:
-        message = f"detector {name!r} ({point.value}) cannot be imported: {error}"
-        raise UnknownSchemeError(message) from error
-    if not (isinstance(found, type) and issubclass(found, Scheme)):
-        message = f"detector {name!r} ({point.value}) is no subclass of detector.schemes.base.Scheme"
-        raise UnknownSchemeError(message)
+        found: type[Scheme] = plug_ins.load(KIND, name)
+    except plug_ins.UnknownPlugInError as error:
+        raise UnknownSchemeError(str(error)) from error
     return found
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from injector.tracing.elf import code_sections
 from injector.tracing.process import MemoryMap, Process
-from services.kernels import KERNELS, scope_of
+from services.kernels import find_kernel, scope_of
 from services.models.faults.specification import FaultSpec
 
 
@@ -16,7 +16,7 @@ def within(fault: FaultSpec, process: Process) -> Callable[[int], bool]:
     """A test of addresses: whether the fault may be injected into the instruction there."""
     if scope_of(fault) == "thread":
         return lambda _: True
-    ranges = code_ranges(process.maps(), KERNELS[fault.target].modules)
+    ranges = code_ranges(process.maps(), _modules(fault))
     starts = [start for start, _ in ranges]
 
     def inside(address: int) -> bool:
@@ -34,9 +34,15 @@ def countable_code(fault: FaultSpec, process: Process) -> list[tuple[int, int]]:
     maps = process.maps()
     pieces = [one for one in maps.code() if "w" not in one.permissions and not one.name.startswith("[")]
     if scope_of(fault) == "kernel":
-        own = set(code_ranges(maps, KERNELS[fault.target].modules))
+        own = set(code_ranges(maps, _modules(fault)))
         pieces = [one for one in pieces if (one.start, one.end) in own]
     return sorted(section for one in pieces for section in code_sections(process.pid, one))
+
+
+def _modules(fault: FaultSpec) -> tuple[str, ...]:
+    kernel = find_kernel(fault.target)
+    assert kernel is not None  # noqa: S101 - scope kernel goes with kernels
+    return kernel.modules
 
 
 def code_ranges(maps: MemoryMap, modules: tuple[str, ...]) -> list[tuple[int, int]]:

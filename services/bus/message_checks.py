@@ -5,7 +5,8 @@ What keeps memory safe (sizes, encodings) is no such check: it always holds.
 
 from __future__ import annotations
 
-from typing import Literal, get_args
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, get_args
 
 from services.bus.messages import MalformedMessageError
 
@@ -14,15 +15,18 @@ CheckName = Literal["finite", "range", "order"]
 
 Checks = frozenset[CheckName]
 
+AddedChecks = Mapping[str, Callable[[str, Any], str]]
+"""Checks that other packages add, by name: of a topic and its message what is wrong, or an empty text."""
+
 ALL_CHECKS: Checks = frozenset(get_args(CheckName))
 
 
 class RefusedMessageError(MalformedMessageError):
     """A message that a check refused; ``check`` is its name."""
 
-    def __init__(self, check: CheckName, what: str) -> None:
+    def __init__(self, check: str, what: str) -> None:
         super().__init__(what)
-        self.check: CheckName = check
+        self.check = check
 
 
 def refuse(checks: Checks, check: CheckName, what: str, *, unless: bool) -> None:
@@ -32,3 +36,14 @@ def refuse(checks: Checks, check: CheckName, what: str, *, unless: bool) -> None
     """
     if check in checks and not unless:
         raise RefusedMessageError(check, what)
+
+
+def refuse_by_added(checks: AddedChecks, topic: str, message: Any) -> None:
+    """Refuse a message by the checks that other packages add.
+
+    :raises RefusedMessageError: with what the first of them has against it.
+    """
+    for name, refuses in checks.items():
+        what = refuses(topic, message)
+        if what:
+            raise RefusedMessageError(name, what)

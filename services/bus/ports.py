@@ -10,7 +10,7 @@ import zenoh
 
 from services.bus import session
 from services.bus.horizon import Channel, Promise, Stamped
-from services.bus.message_checks import Checks
+from services.bus.message_checks import AddedChecks, Checks, refuse_by_added
 from services.bus.messages import MalformedMessageError, decode
 from services.bus.topics import Topic, published_by
 
@@ -52,8 +52,10 @@ class Input:
         parse: Parse,
         checks: Checks,
         refused: Callable[[MalformedMessageError], None],
+        added: AddedChecks,
     ) -> None:
         self.topic = topic
+        self._added = added
         self.new: list[Stamped] = []
         self._parse = parse
         self._checks = checks
@@ -71,10 +73,13 @@ class Input:
     def read(self, message: Stamped) -> Any | None:
         """The parsed message; None (and counted) if it is malformed."""
         try:
-            return self._parse(decode(message.payload, self.topic.type), self._checks)
+            decoded = decode(message.payload, self.topic.type)
+            parsed = self._parse(decoded, self._checks)
+            refuse_by_added(self._added, self.topic.name, decoded)
         except MalformedMessageError as error:
             self._refused(error)
             return None
+        return parsed
 
     @property
     def latest(self) -> Any | None:

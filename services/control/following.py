@@ -6,10 +6,10 @@ from services.control.curve_follower import CurveFollower
 from services.control.follower import Follower
 from services.control.waypoint_follower import WaypointFollower
 from services.models.mission import MissionSpec
-from services.models.pilots import PILOTS
+from services.models.pilots import find_pilot
 
 
 def follower(spec: MissionSpec) -> Follower:
     """The follower of a mission, before its first trajectory."""
     kind = CurveFollower if "dense" in spec.active_guards else WaypointFollower
-    return kind(PILOTS[spec.pilot], spec.active_guards)
+    return kind(find_pilot(spec.pilot), spec.active_guards)

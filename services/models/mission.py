@@ -1,6 +1,6 @@
 """The specification of a mission: the one definition of all that can be asked of a flight.
 
-Names of worlds, planners, airframes and platforms are checked against the tables that
+Names of worlds, planners, pilots, guards, airframes and platforms are checked against the tables that
 declare them by :func:`deploy.config.check.check`; here only form and range are.
 """
 
@@ -20,7 +20,7 @@ from services.models.faults.specification import FaultSpec
 from services.models.oracles.harm import HarmSpec
 from services.models.oracles.properties import PropertyText
 from services.models.own_stack import OwnStack, OwnStage
-from services.models.pilots import PILOTS, GuardName, Guards, Pace, PilotName
+from services.models.pilots import Guards, Pace, find_pilot
 from services.models.platform import PlatformDefinition
 from services.models.world import WorldDefinition
 
@@ -86,8 +86,8 @@ class MissionSpec(Strict):
     odometry: Odometry = Odometry()
     mapping: MapSettings = MapSettings()
     motion: Motion = Motion()
-    pilot: PilotName = Field(default="guarded", description="guarded (ours) or baseline (published)")
-    guards: tuple[GuardName, ...] | None = Field(default=None, description="these only; default: the pilot's")
+    pilot: str = Field(default="guarded", description="guarded (ours), baseline (published) or a plug-in")
+    guards: tuple[str, ...] | None = Field(default=None, description="these only; default: the pilot's")
     pace: Pace = Pace()
     wind: Wind = Wind()
     detector: DetectorSpec | None = None
@@ -100,7 +100,7 @@ class MissionSpec(Strict):
     @property
     def active_guards(self) -> Guards:
         """The guards that are switched on."""
-        return PILOTS[self.pilot].guards if self.guards is None else frozenset(self.guards)
+        return find_pilot(self.pilot).guards if self.guards is None else frozenset(self.guards)
 
     @property
     def message_checks(self) -> Checks:

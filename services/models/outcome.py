@@ -12,7 +12,7 @@ from services.models.faults.specification import FaultModel, Trigger
 from services.models.mission import MissionSpec
 from services.models.oracles.harm import HarmEvent
 from services.models.oracles.properties import PropertyResult
-from services.models.pilots import GuardName
+from services.models.pilots import Guards
 from services.models.propagation import Propagation
 
 MissionResult = Literal["success", "collision", "no_path", "timeout", "stack_failure"]
@@ -184,7 +184,7 @@ class NodeReport(Strict):
     alarms: int = Field(default=0, description="outputs that were found wrong")
     recomputed: int = Field(default=0, description="outputs that were made again")
     ungated: int = Field(default=0, description="outputs without a verdict: the detector had died")
-    guards: dict[GuardName, int] = Field(default={}, description="how often each guard acted in it")
+    guards: dict[str, int] = Field(default={}, description="how often each guard acted in it")
     compute_s: float = 0.0
     messaging_s: float = 0.0
     waiting_s: float = 0.0
@@ -263,7 +263,7 @@ class Outcome(Strict):
     proof: Proof | None = Field(default=None, description="of an outcome that was proven, not flown")
 
     @property
-    def acting_guards(self) -> frozenset[GuardName]:
+    def acting_guards(self) -> Guards:
         """The guards that acted in any node."""
         return frozenset(name for node in self.nodes.values() for name, times in node.guards.items() if times)
 
@@ -274,4 +274,4 @@ class GoldenTwin(Strict):
     result: MissionResult
     qof: QoF
     digest: str
-    guards: tuple[GuardName, ...] = Field(default=(), description="those that acted in it")
+    guards: tuple[str, ...] = Field(default=(), description="those that acted in it")

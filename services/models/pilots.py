@@ -12,7 +12,10 @@ from typing import Literal, NamedTuple, get_args
 
 from pydantic import Field
 
+from services.bus.message_checks import AddedChecks
 from services.models.base import Strict
+from services.models.plug_ins import MessageGuard
+from services.system import plug_ins
 
 GuardName = Literal[
     "finite",
@@ -28,9 +31,8 @@ GuardName = Literal[
     "restart",
 ]
 
-PilotName = Literal["guarded", "baseline"]
-
-Guards = frozenset[GuardName]
+Guards = frozenset[str]
+"""Those that are switched on: names of guards of ours, and of those that other packages add."""
 
 
 class Guard(NamedTuple):
@@ -112,7 +114,7 @@ class Pilot(NamedTuple):
     derivative: float
 
 
-PILOTS: Mapping[PilotName, Pilot] = MappingProxyType(
+PILOTS: Mapping[str, Pilot] = MappingProxyType(
     {
         "guarded": Pilot(
             "ours: plans in flight, follows the curve by a PID, with every guard",
@@ -134,6 +136,54 @@ PILOTS: Mapping[PilotName, Pilot] = MappingProxyType(
         ),
     }
 )
+
+
+def find_pilot(name: str) -> Pilot:
+    """The pilot of that name: one of the table, else one that another package adds.
+
+    :raises UnknownPlugInError: if there is none.
+    """
+    if name in PILOTS or not plug_ins.is_installed("pilots", name):
+        known = PILOTS.get(name)
+        if known is None:
+            message = f"unknown pilot {name!r}; known: {', '.join((*PILOTS, *plug_ins.names('pilots')))}"
+            raise plug_ins.UnknownPlugInError(message)
+        return known
+    added: Pilot = plug_ins.load("pilots", name)
+    return added
+
+
+def find_guard(name: str) -> Guard | MessageGuard:
+    """The guard of that name: one of the table, else one that another package adds.
+
+    :raises UnknownPlugInError: if there is none.
+    """
+    if name in ALL_GUARDS or not plug_ins.is_installed("guards", name):
+        known = {str(one): guard for one, guard in GUARDS.items()}.get(name)
+        if known is None:
+            message = f"unknown guard {name!r}; known: {', '.join((*GUARDS, *plug_ins.names('guards')))}"
+            raise plug_ins.UnknownPlugInError(message)
+        return known
+    added: MessageGuard = plug_ins.load("guards", name)
+    return added
+
+
+def numbered(active: Guards) -> tuple[str, ...]:
+    """The guards in the order in which a node counts what they do: ours, then those ``active`` besides."""
+    return (*GUARDS, *sorted(active - ALL_GUARDS))
+
+
+def added_guards(active: Guards, stage: str) -> AddedChecks:
+    """What the guards that other packages add check of a stage's messages, in the order of their names.
+
+    :raises UnknownPlugInError: if one is not installed.
+    """
+    found = {name: find_guard(name) for name in sorted(active - ALL_GUARDS)}
+    return {
+        name: guard.refuses
+        for name, guard in found.items()
+        if isinstance(guard, MessageGuard) and stage in guard.stages
+    }
 
 
 class Pace(Strict):

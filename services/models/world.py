@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, JsonValue
 
 from services.models.base import Strict
 
@@ -18,7 +18,7 @@ DRAWN_TOP_M = 20.0
 """Height of a drawn obstacle, for the paper's "unbounded": twice the flight ceiling."""
 
 
-class _Surroundings(Strict):
+class Surroundings(Strict):
     """What all worlds have: a start, a goal and the space to fly in.
 
     The default goal is 50 m from the start (facts page, "mission"), along the middle of a row of cells:
@@ -33,7 +33,7 @@ class _Surroundings(Strict):
     upper: Point = (50.0, 50.0, 10.0)
 
 
-class GridWorld(_Surroundings):
+class GridWorld(Surroundings):
     """The paper's generator (section VI): obstacles scattered over the cells of a grid.
 
     ``density`` is the probability that a cell holds an obstacle, ``obstacle_m`` the side of its square
@@ -46,7 +46,7 @@ class GridWorld(_Surroundings):
     cell_m: float = Field(default=10.0, gt=0, le=1000)
 
 
-class ClusteredWorld(_Surroundings):
+class ClusteredWorld(Surroundings):
     """Gaussian congestion, after MAVBench's environment generator.
 
     An obstacle is as probable as ``density`` at a centroid (x, y) and less by a Gaussian of standard
@@ -61,7 +61,7 @@ class ClusteredWorld(_Surroundings):
     gap_m: float = Field(ge=0, le=1000)
 
 
-class _GradedWorld(_Surroundings):
+class _GradedWorld(Surroundings):
     """Generators with a difficulty: other parameters follow from it unless they are given.
 
     The area is what the planner searches: 25 m beyond start and goal (``services/planning/pilot.py``).
@@ -121,7 +121,18 @@ class MovingBox(Strict):
     phase: float = Field(default=0.0, ge=0, lt=1)
 
 
-class BoxWorld(_Surroundings):
+class GeneratedWorld(Surroundings):
+    """A world of a generator that another package adds, of the group ``zenfi.worlds``.
+
+    ``parameters`` are the generator's own; those that are left out have its defaults.
+    """
+
+    kind: Literal["generated"]
+    generator: str = Field(min_length=1, max_length=60)
+    parameters: dict[str, JsonValue] = Field(default={}, max_length=100)
+
+
+class BoxWorld(Surroundings):
     """A world made by hand or exported: axis-aligned boxes, lower corner x y z, upper corner x y z."""
 
     kind: Literal["boxes"]
@@ -130,6 +141,6 @@ class BoxWorld(_Surroundings):
 
 
 WorldDefinition = Annotated[
-    GridWorld | ClusteredWorld | ForestWorld | GatesWorld | TrafficWorld | BoxWorld,
+    GridWorld | ClusteredWorld | ForestWorld | GatesWorld | TrafficWorld | GeneratedWorld | BoxWorld,
     Field(discriminator="kind"),
 ]

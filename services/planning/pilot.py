@@ -13,7 +13,7 @@ import numpy as np
 
 from services.bus.arrays import NO_PLAN, POINT_FIELDS, Floats, Plan, Verdict
 from services.models.mission import MissionSpec
-from services.models.pilots import ALL_GUARDS, PILOTS, GuardName, Guards, Pace
+from services.models.pilots import ALL_GUARDS, GuardName, Guards, Pace, find_pilot
 from services.models.safety import BRAKE_BELOW_S, DECELERATION_M_S2
 from services.planning.trajectory import Departure
 from services.planning.voxels import CLOSE, NEAR
@@ -56,7 +56,7 @@ class Tactics(NamedTuple):
 
 def tactics(spec: MissionSpec) -> Tactics:
     """The tactics of a mission's pilot."""
-    return Tactics(PILOTS[spec.pilot].leads_on, spec.active_guards, spec.pace)
+    return Tactics(find_pilot(spec.pilot).leads_on, spec.active_guards, spec.pace)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from ompl import base, geometric
 from ompl import util as ompl_util
 
+from services.models.plug_ins import OmplPlanner
 from services.planning.polyline import shorten
 from services.planning.roadmap import shortest
 from services.planning.voxels import NEAR, OCCUPIED, VoxelGrid, edge_clear, level_at
+from services.system import plug_ins
 
 ompl_util.noOutputHandler()
 
@@ -62,10 +64,10 @@ def plan(
 ) -> NDArray[np.float64] | None:
     """A path from ``start`` to ``goal`` (3,), world frame, as corners (n, 3), or None.
 
-    ``planner`` is a name in ``PLANNERS``; the grid's box is where it looks. Voxels of level ``limit``
-    and above are blocked, except that a start in one is left by the straight line to the nearest open
-    voxel. A goal that is blocked is replaced by the nearest open voxel. None if there is no such voxel,
-    or no path within the budget. The same arguments give the same path.
+    ``planner`` is a name in ``PLANNERS`` or of a planner that another package adds; the grid's box is where
+    it looks. Voxels of level ``limit`` and above are blocked, except that a start in one is left by the
+    straight line to the nearest open voxel. A goal that is blocked is replaced by the nearest open voxel.
+    None if there is no such voxel, or no path within the budget. The same arguments give the same path.
     """
     entry = nearest_open(grid, start, limit)
     target = nearest_open(grid, goal, limit)
@@ -126,9 +128,9 @@ def _search(
         for axis in range(3):
             state[axis] = float(point[axis])
     problem.setStartAndGoalStates(*states)
-    algorithm = PLANNERS[planner](information)
+    algorithm = _made(planner, information)
     ompl_util.RNG()  # OMPL seeds one after the other, and SimpleSetup made one here
-    if not isinstance(algorithm, geometric.PRMstar):
+    if hasattr(algorithm, "setRange"):
         algorithm.setRange(EDGE_M)
     if isinstance(algorithm, geometric.RRTstar):
         algorithm.setFocusSearch(True)  # only where the path that it has could still be shortened
@@ -145,6 +147,13 @@ def _search(
     path = problem.getSolutionPath()
     corners = [path.getState(i) for i in range(path.getStateCount())]
     return np.array([[state[axis] for axis in range(3)] for state in corners]) / _METRIC
+
+
+def _made(planner: str, information: Any) -> Any:
+    if planner in PLANNERS:
+        return PLANNERS[planner](information)
+    added: OmplPlanner = plug_ins.load("planners", planner)
+    return added.make(information)
 
 
 class _EdgeValidator(base.MotionValidator):  # type: ignore[misc]

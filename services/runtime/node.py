@@ -24,6 +24,7 @@ from services.bus.proxy_link import NodeLink, ProxyAnswer
 from services.bus.topics import STAGES, TOPICS, published_by
 from services.models.detection import DETECTOR, AlarmRecord
 from services.models.outcome import InjectionRecord
+from services.models.pilots import added_guards
 from services.runtime.guard_counts import GuardCounts
 from services.runtime.kernel_timer import KernelTimer
 from services.runtime.latency import Latency
@@ -53,7 +54,7 @@ class Node:
         self._proxy = proxy
         self._setup = setup
         self._stats, self._page = stats, stats.page
-        self.guards = GuardCounts(stats.page)
+        self.guards = GuardCounts(stats.page, setup.spec.active_guards)
         self._wall = ActivityStopwatch(stats.page)
         self._timer = timer if timer is not None else KernelTimer(setup, proxy, stats.page)
         fault = setup.spec.fault
@@ -65,6 +66,7 @@ class Node:
         self._corrupted: Any = None
         self.recovery = Recovery(self, setup.spec.detector)
         self._inputs: dict[str, Input] = {}
+        self._added = added_guards(setup.spec.active_guards, self.name)
         self._published = {
             topic.name: setup.published.get(topic.name, 0) for topic in published_by(self.name)
         }
@@ -73,7 +75,8 @@ class Node:
 
     def input(self, name: str, parse: Parse = as_it_is) -> Input:
         """Subscribe to a topic, checked by those guards of the mission that are checks of messages."""
-        self._inputs[name] = Input(TOPICS[name], parse, self.spec.message_checks, self.guards.refused)
+        checks = self.spec.message_checks
+        self._inputs[name] = Input(TOPICS[name], parse, checks, self.guards.refused, self._added)
         return self._inputs[name]
 
     def ready(self, *watched: str) -> None:

@@ -14,7 +14,8 @@ class NodeSetup(Strict):
 
     ``life`` counts its restarts, ``start_ns`` is the virtual time at which it is there, ``published``
     says how many messages of its topics exist, ``resume_from`` where its inputs begin; ``clock`` is the
-    page of the flight's clock in real time. ``true_path`` is the file to which the simulator writes its true
+    page of the flight's clock in real time. ``plug_ins`` says where those are that the mission uses
+    (:func:`services.system.plug_ins.tell`). ``true_path`` is the file to which the simulator writes its true
     state, beside the bus.
     """
 
@@ -28,4 +29,5 @@ class NodeSetup(Strict):
     published: dict[str, int] = {}
     resume_from: dict[str, int] = {}
     clock: Path | None = None
+    plug_ins: dict[str, str] = {}
     true_path: Path | None = None

@@ -7,12 +7,13 @@ Names of kernels, states, sensors and motors are checked against the tables that
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
 from services.models.base import Strict
 from services.models.faults.mask_histogram import MaskHistogram
+from services.system import plug_ins
 
 EquipmentFailure = Literal["off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent"]
 """The ways in which a sensor or a motor fails: those of PX4's failure injection."""
@@ -48,7 +49,8 @@ class FaultSpec(Strict):
 
     ``mask`` says which bits are drawn: ``bits`` distinct ones; with ``uniform`` every non-zero mask of what
     is accessed or of the ``field`` alike; with ``byte`` and ``word`` every non-zero mask of one aligned byte
-    or 32-bit word alike; or as a ``histogram`` says.
+    or 32-bit word alike; or as a ``histogram`` says. Where a specification is written, the name of a mask
+    that another package adds stands for its histogram.
 
     Models: ``bitflip`` inverts bits of a register; ``stuck_at`` holds them at ``stuck_value`` for
     ``stuck_instructions``; ``opcode`` inverts bits of the instruction for one execution; ``memory``
@@ -98,6 +100,11 @@ class FaultSpec(Strict):
         default=None, ge=-1000, le=1000, description="wrong: factor, or m; slow: period, s; delayed: delay, s"
     )
     trigger: Trigger | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _expand_mask(cls, given: Any) -> Any:
+        return _with_histogram(given)
 
     @model_validator(mode="after")
     def _refuse_nonsense(self) -> FaultSpec:
@@ -260,6 +267,17 @@ class FaultSpec(Strict):
             yield f"bit_numbers: expected distinct numbers from 0 to 511, got {list(numbers)}"
         if self.bits not in (1, len(numbers)):
             yield "bits counts bits to be drawn, bit_numbers names them: leave out bits"
+
+
+def _with_histogram(given: Any) -> Any:
+    """A specification as it is written, with the histogram of a mask of another package for its name."""
+    name = given.get("mask") if isinstance(given, dict) else None
+    if not isinstance(name, str) or name in get_args(MaskKind) or not plug_ins.is_installed("masks", name):
+        return given
+    if given.get("histogram") is not None:
+        message = f"histogram and mask {name} both say which bits: leave out one"
+        raise ValueError(message)
+    return {**given, "mask": "histogram", "histogram": plug_ins.load("masks", name)}
 
 
 class Waypoint(Strict):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from services.models.base import Strict
+from services.system import plug_ins
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +30,7 @@ SIGNALS: Mapping[str, str] = MappingProxyType(
         "flight_time": "s since the start: what the goal took, if it was reached",
     }
 )
-"""What a property may speak of, each from the simulator's true state."""
+"""What a property may speak of, each from the simulator's true state; other packages may add signals."""
 
 FORM = "always|eventually, [FROM,UNTIL] in s if need be, SIGNAL, >= or <=, BOUND"
 EXAMPLE = "always clearance >= 0.3"
@@ -69,7 +70,7 @@ def _text(number: float) -> str:
 
 
 def parse(text: str) -> Property:
-    """The property that is written in ``text``.
+    """The property that is written in ``text``; its signal may be one that is not known here.
 
     :raises ValueError: in one line that says what is wrong and what would be right.
     """
@@ -80,9 +81,6 @@ def parse(text: str) -> Property:
     operator, low, high, signal, sign, bound = found.groups()
     if operator not in ("always", "eventually"):
         message = f"unknown operator {operator!r}; known: always, eventually"
-        raise ValueError(message)
-    if signal not in SIGNALS:
-        message = f"unknown signal {signal!r}; known: {', '.join(SIGNALS)}"
         raise ValueError(message)
     from_s, until_s = (0.0, None) if low is None else (float(low) + 0.0, float(high) + 0.0)
     if until_s is not None and not 0.0 <= from_s <= until_s <= LONGEST_S:
@@ -110,6 +108,17 @@ class PropertyResult(Strict):
         description="virtual time that decided: of `always` the first violation, of `eventually` the first "
         "fulfilment; else the end of its interval or of the flight"
     )
+
+
+def refuse_unknown_signal(text: str) -> None:
+    """Refuse a property of a signal that neither zenfi nor another installed package has.
+
+    :raises ValueError: naming those that are known.
+    """
+    signal = parse(text).signal
+    if signal not in SIGNALS and not plug_ins.is_installed("signals", signal):
+        message = f"unknown signal {signal!r}; known: {', '.join((*SIGNALS, *plug_ins.names('signals')))}"
+        raise ValueError(message)
 
 
 def evaluate(wanted: Property, times_s: Floats, values: Floats) -> PropertyResult:

@@ -17,7 +17,7 @@ from dashboard.campaigns.store.store import Store
 from deploy.errors import BadSpecError
 from deploy.mission.fork_server import ForkServer
 from deploy.pairing.golden_twin import PairFlyer
-from services.models.world import BoxWorld, ClusteredWorld, GridWorld
+from services.models.world import ForestWorld, GatesWorld, TrafficWorld
 from tests.dashboard.command import zenfi
 
 PAPER = {"fig7": 8, "fig8": 9, "fig9": 4, "table3": 4, "table4": 48, "fig14": 33, "fig16": 54}
@@ -67,7 +67,7 @@ def test_difficulty_flies_both_pilots_from_easy_to_hard_without_a_fault() -> Non
     grades: dict[tuple[str, str], list[float]] = {}
     for run in flown:
         world = run.spec.world
-        assert not isinstance(world, str | GridWorld | ClusteredWorld | BoxWorld)
+        assert isinstance(world, ForestWorld | GatesWorld | TrafficWorld)
         grades.setdefault((world.kind, run.spec.pilot), []).append(world.difficulty)
     assert set(grades) == {
         (kind, pilot) for kind in ("forest", "gates", "traffic") for pilot in ("guarded", "baseline")

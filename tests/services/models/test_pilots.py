@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from pydantic import ValidationError
 
 from services.models.mission import MissionSpec
-from services.models.pilots import ALL_GUARDS, GUARDS, PILOTS
+from services.models.pilots import ALL_GUARDS, GUARDS, PILOTS, find_guard, find_pilot
+from services.system.plug_ins import UnknownPlugInError
 from services.system.shared_stats import MAX_GUARDS
 
 PAGE = Path("docs/pilots.md")
@@ -32,5 +32,10 @@ def test_a_mission_has_its_pilots_guards_unless_it_names_its_own() -> None:
 
 
 def test_what_is_no_guard_is_refused() -> None:
-    with pytest.raises(ValidationError, match="finite"):
-        MissionSpec.model_validate({"guards": ["luck"]})
+    with pytest.raises(UnknownPlugInError, match="unknown guard 'luck'; known: finite, range"):
+        find_guard("luck")
+
+
+def test_what_is_no_pilot_is_refused() -> None:
+    with pytest.raises(UnknownPlugInError, match="unknown pilot 'ace'; known: guarded, baseline"):
+        find_pilot("ace")

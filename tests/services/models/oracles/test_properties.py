@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from services.models.mission import MissionSpec
-from services.models.oracles.properties import evaluate, parse
+from services.models.oracles.properties import evaluate, parse, refuse_unknown_signal
 
 TIMES = np.array([0.0, 1.0, 2.0, 3.0])
 VALUES = np.array([4.0, 1.0, 3.0, 2.0])
@@ -71,7 +71,6 @@ def test_a_property_has_one_spelling() -> None:
         ("alwaysclearance >= 0.3", "no property: expected"),
         ("always clearance >= nan", "no property: expected"),
         ("never clearance >= 0.3", "unknown operator 'never'; known: always, eventually"),
-        ("always height >= 0.3", "unknown signal 'height'; known: clearance"),
         ("always[5,2] speed <= 1", "interval"),
         ("always[0,9999] speed <= 1", "interval"),
         ("always speed <= 1e300", "at most 1e"),
@@ -80,6 +79,12 @@ def test_a_property_has_one_spelling() -> None:
 def test_what_is_no_property_is_refused_in_one_line(text: str, message: str) -> None:
     with pytest.raises(ValidationError, match=message.replace("[", r"\[")):
         MissionSpec.model_validate({"properties": [text]})
+
+
+def test_a_signal_that_nobody_has_is_refused_before_the_flight() -> None:
+    refuse_unknown_signal("always clearance >= 0.3")
+    with pytest.raises(ValueError, match="unknown signal 'height'; known: clearance"):
+        refuse_unknown_signal("always height >= 0.3")
 
 
 def test_the_same_property_twice_is_refused() -> None:
