@@ -179,8 +179,9 @@ def aimed_at(fault: FaultSpec) -> str:
     if fault.at_equipment:
         return "sim"
     if fault.level == "instruction":
-        kernel = find_kernel(fault.target)
-        return fault.target if kernel is None else kernel.stage
+        if is_planner(fault.target):
+            return "planning"
+        return KERNELS[fault.target].stage if fault.target in KERNELS else fault.target
     from services.models.inter_kernel_states import members  # noqa: PLC0415 - the table is cheap to import
 
     return members(fault.target)[0].stage
@@ -188,7 +189,7 @@ def aimed_at(fault: FaultSpec) -> str:
 
 def scope_of(fault: FaultSpec) -> Literal["kernel", "thread"]:
     """The code that a fault strikes: of a kernel of ours its own, unless all of the thread's is asked for."""
-    return fault.scope or ("thread" if find_kernel(fault.target) is None else "kernel")
+    return fault.scope or ("kernel" if fault.target in KERNELS or is_planner(fault.target) else "thread")
 
 
 PLANNERS: tuple[str, ...] = tuple(name for name, kernel in KERNELS.items() if kernel.entry == _PLAN)

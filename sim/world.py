@@ -17,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
+from services.models.base import first_problem
 from services.models.plug_ins import WorldGenerator
 from services.models.safety import BODY_RADIUS_M
 from services.models.world import (
     DRAWN_TOP_M,
+    MOST_BOXES,
     BoxWorld,
     ClusteredWorld,
     ForestWorld,
@@ -40,9 +42,6 @@ Floats = NDArray[np.float64]
 
 KEEP_OUT_M = 3.0
 """No drawn obstacle stands closer to start or goal: the safety body and as much again."""
-
-MOST_BOXES = 100_000
-"""Boxes of a world at most."""
 
 ATTEMPTS = 1000
 """Draws after which a world that leaves the straight way free is given up."""
@@ -95,6 +94,11 @@ def _boxes_at(moving: Floats, time_s: float) -> Floats:
 
 
 def world_names() -> list[str]:
+    """The worlds that can be flown in by name: those that come along, then those that other packages add."""
+    return [*own_worlds(), *(name for name in plug_ins.names("worlds") if name not in own_worlds())]
+
+
+def own_worlds() -> list[str]:
     """The worlds that come along, sorted."""
     names = (entry.name for entry in (files("sim") / "worlds").iterdir())
     return sorted(name.removesuffix(".toml") for name in names if name.endswith(".toml"))
@@ -106,11 +110,10 @@ def definition(name: str) -> WorldDefinition:
 
     :raises BadWorldError: if there is none.
     """
-    if name not in world_names():
+    if name not in own_worlds():
         if plug_ins.is_installed("worlds", name):
             return GeneratedWorld(name=name, kind="generated", generator=name)
-        message = f"unknown world {name!r}; known: {', '.join((*world_names(), *plug_ins.names('worlds')))}"
-        raise BadWorldError(message)
+        raise BadWorldError(plug_ins.unknown("worlds", name, own_worlds()))
     return DEFINITION.validate_python(tomllib.loads((files("sim") / "worlds" / f"{name}.toml").read_text()))
 
 
@@ -231,8 +234,7 @@ def _scatter_generated(wanted: GeneratedWorld, rng: np.random.Generator) -> Scat
     try:
         parameters = added.parameters.model_validate(wanted.parameters)
     except ValidationError as error:
-        first = error.errors()[0]
-        message = f"{what}: {'.'.join(map(str, ('parameters', *first['loc'])))}: {first['msg']}"
+        message = f"{what}: parameters.{first_problem(error)}"
         raise BadWorldError(message) from error
     boxes = np.array(added.draw(wanted, parameters, rng), dtype=np.float64)
     if boxes.ndim != 2 or boxes.shape[1] != 6 or not 0 < len(boxes) <= MOST_BOXES:

@@ -5,18 +5,16 @@ import re
 import shlex
 import shutil
 import subprocess
-import sys
-import sysconfig
-import venv
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.scratch_environment import install, make_environment
+
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "plug_ins.md"
 COMMANDS: list[str] = re.findall(r"^\$ zenfi (.*)$", PAGE.read_text(), re.MULTILINE)
-INSTALL = ("pip", "--python", ".venv/bin/python", "install", "-q", "--no-deps", "--no-build-isolation")
 RUN = "from dashboard.cli import main; main()"
 
 pytestmark = pytest.mark.process
@@ -27,11 +25,9 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the example, and an environment of its own that has it installed, and our packages."""
     folder = tmp_path_factory.mktemp("plug-ins")
     shutil.copytree(ROOT / "docs" / "plug_ins", folder / "docs" / "plug_ins")
-    venv.create(folder / ".venv")
-    packages = next((folder / ".venv" / "lib").iterdir()) / "site-packages"
-    (packages / "ours.pth").write_text(f"{sysconfig.get_path('purelib')}\n{ROOT}\n")
-    install = [sys.executable, "-m", *INSTALL, "./docs/plug_ins"]
-    subprocess.run(install, cwd=folder, check=True, stdin=subprocess.DEVNULL)
+    make_environment(folder, ROOT)
+    (what,) = re.findall(r"^\$ pip install (.*)$", PAGE.read_text(), re.MULTILINE)
+    install(folder, what)
     return folder
 
 
@@ -74,6 +70,27 @@ def test_every_kind_is_listed_and_works(scratch: Path) -> None:
         "world",
     }
     assert {one["problem"] for one in listed} == {""}
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_each_command_of_the_page_works(scratch: Path, line: str) -> None:
+    done = zenfi(scratch, line)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_name_of_ours_hides_that_of_another_package(scratch: Path) -> None:
+    entries = next(
+        (scratch / ".venv").glob("lib/*/site-packages/zenfi_examples-*.dist-info/entry_points.txt")
+    )
+    whole = entries.read_text()
+    entries.write_text(whole.replace("spiral =", "sparse ="))
+    try:
+        done = zenfi(scratch, "plugins --json")
+    finally:
+        entries.write_text(whole)
+    problems = [one["problem"] for one in map(json.loads, done.stdout.splitlines()) if one["problem"]]
+    assert problems == ["zenfi has a world of that name, which is used instead"]
+    assert done.returncode == 1
 
 
 def test_a_planner_is_struck_and_repeats(scratch: Path) -> None:

@@ -5,11 +5,11 @@ import re
 import shlex
 import subprocess
 import sys
-import sysconfig
-import venv
 from pathlib import Path
 
 import pytest
+
+from tests.scratch_environment import install, make_environment
 
 ROOT = Path(__file__).parents[1]
 RECIPES = sorted((ROOT / "docs" / "recipes").glob("*.md"))
@@ -56,14 +56,9 @@ def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A checkout of its own, installed in an environment of its own that has our packages, too."""
     folder = tmp_path_factory.mktemp("recipe") / "zenfi"
     run(ROOT, f"git checkout-index --all --prefix={folder}/")
-    venv.create(folder / ".venv")
-    packages = next((folder / ".venv" / "lib").iterdir()) / "site-packages"
-    (packages / "ours.pth").write_text(sysconfig.get_path("purelib"))
-    run(folder, f"{sys.executable} -m {' '.join(INSTALL)} -e .")
+    make_environment(folder)
+    install(folder, "-e", ".")
     return folder
-
-
-INSTALL = ("pip", "--python", ".venv/bin/python", "install", "-q", "--no-deps", "--no-build-isolation")
 
 
 def run(folder: Path, command: str) -> None:
@@ -96,7 +91,7 @@ def test_a_recipe_that_is_carried_out_works(recipe: Path, checkout: Path) -> Non
     try:
         for line in re.findall(r"^\$ (.*)$", to_run, re.MULTILINE):
             if line.startswith("pip "):
-                run(checkout, f"{sys.executable} -m {' '.join(INSTALL)} -e .")
+                install(checkout, "-e", ".")
             elif not line.startswith(("zenfi serve", "curl ")):
                 run(checkout, line)
     finally:

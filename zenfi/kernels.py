@@ -24,7 +24,6 @@ from deploy.errors import BadSpecError
 from deploy.kernel_study.file import StudyFile
 from deploy.kernel_study.study import Study
 from injector.kernel_study.study import StudyRun
-from services.kernels import KERNELS
 from services.models.faults.specification import FaultSpec
 from services.models.outcome import InjectionRecord
 
@@ -96,8 +95,7 @@ def kernel_studies(
     progress: bool,
 ) -> Iterator[KernelStudy]:
     """The studies of several kernels one after the other, in one file; see :func:`run`."""
-    for name in names:
-        check_kernel(name)
+    units = {name: check_kernel(name).unit for name in names}
     fields = fault_fields(fault)
     faults = {name: FaultSpec.model_validate({"target": name, **fields}) for name in names}
     for aimed in faults.values():
@@ -118,4 +116,4 @@ def kernel_studies(
             section.finish(runs)
             rates = made / (time.monotonic() - begin), 1e3 * study.cpu_s / made if made else 0.0
             assert section.length is not None  # noqa: S101 - the study is made
-            yield KernelStudy(name, summarise(name, KERNELS[name].unit, runs, section.length, *rates), runs)
+            yield KernelStudy(name, summarise(name, units[name], runs, section.length, *rates), runs)

@@ -14,7 +14,7 @@ from detector.errors import DetectionInputError
 from detector.schemes.registry import in_flight
 from injector.capabilities import check as preflight
 from injector.isa.host import AbsentError, require
-from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS, aimed_at, find_kernel, is_planner
+from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS, Kernel, aimed_at, find_kernel, is_planner
 from services.models.faults.specification import FaultSpec
 from services.models.inter_kernel_states import GROUPS, STATES, members
 from services.models.mission import MissionSpec
@@ -35,7 +35,7 @@ def check(spec: MissionSpec) -> None:
     :raises BadSpecError: naming the field and what would be right.
     """
     if not is_planner(spec.planner):
-        _known("planner", spec.planner, (*PLANNERS, *plug_ins.names("planners")))
+        raise BadSpecError(plug_ins.unknown("planners", spec.planner, PLANNERS))
     try:
         _check_plug_ins(spec)
         world = make_world(spec.world, spec.seed)
@@ -72,7 +72,8 @@ def _check_plug_ins(spec: MissionSpec) -> None:
     for text in spec.properties:
         refuse_unknown_signal(text)
     for place in used_plug_ins(spec):
-        plug_ins.load(*place.split("/"))
+        kind, _, name = place.partition("/")
+        plug_ins.load(kind, name)
 
 
 def _check_stack(stack: OwnStack, spec: MissionSpec) -> None:
@@ -172,13 +173,19 @@ def check_machine(fault: FaultSpec) -> None:
             raise BadSpecError(message)
 
 
-def check_kernel(name: str) -> None:
-    """Refuse a name that is no kernel's.
+def check_kernel(name: str) -> Kernel:
+    """The kernel of that name: one of ours, or a planner that another package adds.
 
-    :raises BadSpecError: naming those that are.
+    :raises BadSpecError: if there is none, naming those that are.
     """
-    if find_kernel(name) is None:
-        _known("kernel", name, (*KERNELS, *plug_ins.names("planners")))
+    try:
+        kernel = find_kernel(name)
+    except plug_ins.UnknownPlugInError as error:
+        raise BadSpecError(str(error)) from error
+    if kernel is None:
+        message = f"unknown kernel {name!r}; known: {', '.join((*KERNELS, *plug_ins.names('planners')))}"
+        raise BadSpecError(message)
+    return kernel
 
 
 def _known(what: str, name: str, table: Iterable[str]) -> None:

@@ -11,6 +11,8 @@ from collections.abc import Iterator, Sequence
 from deploy.errors import InfrastructureError
 from injector.kernel_study.study import StudyAnswer, StudyTask
 from injector.reproducible import launch
+from services.kernels import KERNELS
+from services.system import plug_ins
 from services.system.json_lines import LineReader, line_of
 
 
@@ -19,10 +21,11 @@ class StudyWorker:
 
     def __init__(self, kernel: str, cpu: int) -> None:
         ours = os.sched_getaffinity(0)
+        reference = [] if kernel in KERNELS else [plug_ins.reference("planners", kernel)]
         os.sched_setaffinity(0, {cpu})  # inherited
         try:
             self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
-                launch.command("injector.kernel_study.worker", kernel),
+                launch.command("injector.kernel_study.worker", kernel, *reference),
                 env=launch.environment(os.environ, compiled=f"study-{kernel}"),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from detector.errors import DetectionInputError
 from detector.schemes.base import Lesson
 from detector.series.monitored_states import WATCHED
-from services.models.base import Strict
+from services.models.base import Strict, first_problem
 
 DIGEST_BYTES = 16
 
@@ -100,10 +100,7 @@ def model_in(given: Any, where: str) -> ModelFile:
 
 def what_is_wrong(error: ValueError) -> str:
     """The first thing that is wrong, in one line."""
-    if isinstance(error, ValidationError):
-        first = error.errors()[0]
-        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-    return str(error)
+    return first_problem(error) if isinstance(error, ValidationError) else str(error)
 
 
 def _refuse(constant: str) -> float:

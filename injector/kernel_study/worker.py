@@ -16,20 +16,24 @@ from numba.core import event
 
 from injector.kernel_study.subject import Subject
 from injector.reproducible.launch import begin_again_if, begin_again_to_compile
-from services.kernels import KERNELS
+from services.kernels import find_kernel
+from services.system import plug_ins
 from services.system.lifeline import die_with_parent
 
 
 def main() -> None:
     """Answer tasks until there are no more."""
     die_with_parent()
-    (kernel,) = sys.argv[1:]
+    name, *reference = sys.argv[1:]
+    plug_ins.tell({f"planners/{name}": where for where in reference})
+    kernel = find_kernel(name)
+    assert kernel is not None  # noqa: S101 - it was checked before
     with event.install_recorder("numba:compile") as compiled:
-        importlib.import_module(KERNELS[kernel].samples_module)
+        importlib.import_module(kernel.samples_module)
         begin_again_to_compile()
-        subject = Subject(KERNELS[kernel])
+        subject = Subject(kernel)
     begin_again_if(bool(compiled.buffer))
-    _answer(kernel, subject, *subject.fork())
+    _answer(name, subject, *subject.fork())
     # Without the interpreter's own clean-up: nanobind would complain of OMPL's leaks at length.
     os._exit(os.EX_OK)
 

@@ -143,14 +143,7 @@ def find_pilot(name: str) -> Pilot:
 
     :raises UnknownPlugInError: if there is none.
     """
-    if name in PILOTS or not plug_ins.is_installed("pilots", name):
-        known = PILOTS.get(name)
-        if known is None:
-            message = f"unknown pilot {name!r}; known: {', '.join((*PILOTS, *plug_ins.names('pilots')))}"
-            raise plug_ins.UnknownPlugInError(message)
-        return known
-    added: Pilot = plug_ins.load("pilots", name)
-    return added
+    return plug_ins.find("pilots", name, PILOTS)
 
 
 def find_guard(name: str) -> Guard | MessageGuard:
@@ -158,14 +151,8 @@ def find_guard(name: str) -> Guard | MessageGuard:
 
     :raises UnknownPlugInError: if there is none.
     """
-    if name in ALL_GUARDS or not plug_ins.is_installed("guards", name):
-        known = {str(one): guard for one, guard in GUARDS.items()}.get(name)
-        if known is None:
-            message = f"unknown guard {name!r}; known: {', '.join((*GUARDS, *plug_ins.names('guards')))}"
-            raise plug_ins.UnknownPlugInError(message)
-        return known
-    added: MessageGuard = plug_ins.load("guards", name)
-    return added
+    own: Mapping[str, Guard | MessageGuard] = {str(one): guard for one, guard in GUARDS.items()}
+    return plug_ins.find("guards", name, own)
 
 
 def numbered(active: Guards) -> tuple[str, ...]:

@@ -18,6 +18,10 @@ DRAWN_TOP_M = 20.0
 """Height of a drawn obstacle, for the paper's "unbounded": twice the flight ceiling."""
 
 
+MOST_BOXES = 100_000
+"""Boxes of a world at most."""
+
+
 class Surroundings(Strict):
     """What all worlds have: a start, a goal and the space to fly in.
 
@@ -136,7 +140,7 @@ class BoxWorld(Surroundings):
     """A world made by hand or exported: axis-aligned boxes, lower corner x y z, upper corner x y z."""
 
     kind: Literal["boxes"]
-    boxes: tuple[Box, ...] = Field(max_length=100_000)
+    boxes: tuple[Box, ...] = Field(max_length=MOST_BOXES)
     moving: tuple[MovingBox, ...] = Field(default=(), max_length=1000)
 
 

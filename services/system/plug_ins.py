@@ -7,14 +7,17 @@ it is asked for. What comes along is declared in its own table and looked up the
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from pkgutil import resolve_name
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
+
+Own = TypeVar("Own")
 
 OURS = "zenfi"
 """The package whose own entry points are no plug-ins."""
@@ -25,25 +28,33 @@ class UnknownPlugInError(ValueError):
 
 
 class Kind(NamedTuple):
-    """A kind of plug-in: what one is called, and of which class an entry point must be.
+    """A kind of plug-in: what one is called, of which class an entry point must be, and which names are ours.
 
+    ``own`` is a table of names, or a function of them; empty: what comes along is an entry point, too.
     ``subclass``: the entry point is a class itself, not an object.
     """
 
     singular: str
     of: str
+    own: str = ""
     subclass: bool = False
 
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         "detectors": Kind("detector", "detector.schemes.base:Scheme", subclass=True),
-        "guards": Kind("guard", "services.models.plug_ins:MessageGuard"),
-        "masks": Kind("mask", "services.models.faults.mask_histogram:MaskHistogram"),
-        "pilots": Kind("pilot", "services.models.pilots:Pilot"),
-        "planners": Kind("planner", "services.models.plug_ins:OmplPlanner"),
-        "signals": Kind("signal", "services.models.plug_ins:Signal"),
-        "worlds": Kind("world", "services.models.plug_ins:WorldGenerator"),
+        "guards": Kind("guard", "services.models.plug_ins:MessageGuard", "services.models.pilots:GUARDS"),
+        "masks": Kind(
+            "mask",
+            "services.models.faults.mask_histogram:MaskHistogram",
+            "services.models.faults.specification:MASK_KINDS",
+        ),
+        "pilots": Kind("pilot", "services.models.pilots:Pilot", "services.models.pilots:PILOTS"),
+        "planners": Kind("planner", "services.models.plug_ins:OmplPlanner", "services.kernels:KERNELS"),
+        "signals": Kind(
+            "signal", "services.models.plug_ins:Signal", "services.models.oracles.properties:SIGNALS"
+        ),
+        "worlds": Kind("world", "services.models.plug_ins:WorldGenerator", "sim.world:own_worlds"),
     }
 )
 
@@ -59,6 +70,9 @@ class PlugIn(NamedTuple):
     problem: str
 
 
+_NOT_CODE = frozenset({"", ".pyc", ".json", ".txt"})
+"""Suffixes of what a package's installation writes, which differs from one to the next."""
+
 _told: dict[tuple[str, str], EntryPoint] = {}
 
 
@@ -68,7 +82,7 @@ def tell(references: Mapping[str, str]) -> None:
     What a node reads of the packages that are installed would be in its memory, in which users differ.
     """
     for place, value in references.items():
-        kind, name = place.split("/")
+        kind, _, name = place.partition("/")
         _told[kind, name] = EntryPoint(name, value, f"zenfi.{kind}")
 
 
@@ -91,6 +105,24 @@ def is_installed(kind: str, name: str) -> bool:
     return (kind, name) in _told or name in _installed(kind)
 
 
+def find(kind: str, name: str, own: Mapping[str, Own]) -> Own:
+    """What has that name: in the table of ours, else a plug-in.
+
+    :raises UnknownPlugInError: if there is neither, naming all that are, or the plug-in cannot be used.
+    """
+    if name in own:
+        return own[name]
+    if not is_installed(kind, name):
+        raise UnknownPlugInError(unknown(kind, name, own))
+    added: Own = load(kind, name)
+    return added
+
+
+def unknown(kind: str, name: str, own: Iterable[str]) -> str:
+    """What is said of a name that nobody has: which names there are, ``own`` and installed."""
+    return f"unknown {KINDS[kind].singular} {name!r}; known: {', '.join((*own, *names(kind)))}"
+
+
 def reference(kind: str, name: str) -> str:
     """Where a plug-in is: ``module:name``.
 
@@ -111,7 +143,7 @@ def load(kind: str, name: str) -> Any:
     except Exception as error:
         message = f"{what} cannot be imported: {error}"
         raise UnknownPlugInError(message) from error
-    _, of, subclass = KINDS[kind]
+    of, subclass = KINDS[kind].of, KINDS[kind].subclass
     wanted = resolve_name(of)
     if not (isinstance(found, type) and issubclass(found, wanted) if subclass else isinstance(found, wanted)):
         article = "subclass of" if subclass else "object of class"
@@ -156,6 +188,9 @@ def listing() -> list[PlugIn]:
 
 
 def _problem(kind: str, name: str) -> str:
+    own = resolve_name(KINDS[kind].own) if KINDS[kind].own else ()
+    if name in (own() if callable(own) else own):
+        return f"zenfi has a {KINDS[kind].singular} of that name, which is used instead"
     try:
         load(kind, name)
     except UnknownPlugInError as error:
@@ -165,31 +200,34 @@ def _problem(kind: str, name: str) -> str:
 
 @cache
 def digest() -> str:
-    """A digest of all plug-ins of other packages: of their names, versions and modules; empty if none is.
+    """A digest of all plug-ins of other packages: of names, versions and files; empty if none is installed.
 
-    What is known of flights holds for one such digest only. A module's file counts whole; what it imports
-    counts by the version of its package.
+    What is known of flights holds for one such digest only. All files of a package count but compiled ones.
+    Of one that is installed editable, the module that the entry point names counts.
     """
     parts = list(_parts())
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:12] if parts else ""
+    told = hashlib.sha256()
+    for part in parts:
+        told.update(len(part).to_bytes(8) + part)
+    return told.hexdigest()[:12] if parts else ""
 
 
-def _parts() -> Iterator[str]:
+def _parts() -> Iterator[bytes]:
     for kind in KINDS:
         for points in _installed(kind).values():
             for point in points:
                 if _package(point) != OURS:
-                    yield f"{kind} {point.name} {point.value} {_package(point)}"
-                    yield "" if point.dist is None else point.dist.version
-                    yield _contents(point.module)
+                    version = "" if point.dist is None else point.dist.version
+                    yield f"{kind} {point.name} {point.value} {_package(point)} {version}".encode()
+                    yield from (file.read_bytes() for file in _files(point))
 
 
-def _contents(module: str) -> str:
-    """A digest of a module's file, without importing it; empty if it cannot be found."""
-    try:
-        found = find_spec(module)
-    except (ImportError, ValueError):
-        return ""
-    if found is None or found.origin is None or not Path(found.origin).is_file():
-        return ""
-    return hashlib.sha256(Path(found.origin).read_bytes()).hexdigest()
+def _files(point: EntryPoint) -> list[Path]:
+    """The files of a plug-in's package, in order, and its module, which may lie elsewhere."""
+    listed = [] if point.dist is None else point.dist.files or []
+    found = {Path(str(file.locate())) for file in listed if file.suffix not in _NOT_CODE}
+    with suppress(ImportError, ValueError):
+        module = find_spec(point.module)
+        if module is not None and module.origin is not None:
+            found.add(Path(module.origin))
+    return sorted(file for file in found if file.is_file())

@@ -16,6 +16,8 @@ from services.models.faults.specification import FaultSpec
 from services.models.inter_kernel_states import GROUPS, STATES
 from services.models.mission import MissionSpec
 from services.models.oracles.properties import EXAMPLE
+from services.models.pilots import PILOTS
+from services.system import plug_ins
 from sim.world import world_names
 
 Made = Callable[[str], object]
@@ -28,7 +30,6 @@ _RECURRENCES = ("once", "intermittent", "permanent", "rate")
 _OFTEN = {"intermittent": "probability", "rate": "rate_hz"}
 """The field that says how often a fault of that recurrence strikes."""
 
-_PILOTS = ("guarded", "baseline")
 _LARGEST_SEED = 2**32 - 1
 
 
@@ -37,8 +38,8 @@ def flight_form(service: Service, made: Made) -> None:
     with ui.element("div").classes("fields"):
         mission = _choice("Mission", list(_MISSIONS), "scanning")
         world = _choice("World", world_names(), "sparse")
-        planner = _choice("Planner", sorted(PLANNERS), "rrt_star")
-        pilot = _choice("Pilot", list(_PILOTS), "guarded")
+        planner = _choice("Planner", [*sorted(PLANNERS), *plug_ins.names("planners")], "rrt_star")
+        pilot = _choice("Pilot", [*PILOTS, *plug_ins.names("pilots")], "guarded")
         seed = _number("Seed", 7, _LARGEST_SEED)
         judged = _text("Property to judge it by", f"such as: {EXAMPLE}")
 
@@ -64,7 +65,8 @@ def fault_form(service: Service, campaign: CampaignEntry, made: Made) -> None:
     """Ask for a fault and inject it into ``campaign`` now."""
     planner = campaign.spec.mission.planner
     idle = {name for name in PLANNERS if name != planner} | set(GOAL_KERNELS)
-    kernels = {f"instruction {name}": f"kernel {name}" for name in KERNELS if name not in idle}
+    struck = [*KERNELS, *([planner] if planner not in KERNELS else [])]
+    kernels = {f"instruction {name}": f"kernel {name}" for name in struck if name not in idle}
     states = {f"source {name}": f"state {name}" for name in (*GROUPS, *STATES)}
     with ui.element("div").classes("fields"):
         target = ui.select({**kernels, **states}, label="Strikes", value="instruction pid", with_input=True)

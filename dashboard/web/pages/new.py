@@ -20,6 +20,7 @@ from deploy.errors import one_line
 from detector.schemes.registry import with_models
 from services.kernels import GOAL_KERNELS, KERNELS, PLANNERS
 from services.models.inter_kernel_states import GROUPS, STATES
+from services.system import plug_ins
 from sim.world import world_names
 
 OWN = "own"
@@ -92,7 +93,7 @@ class _Form:
         self._bits = number("bits", 1, 1, 64)
         self._field = choice("bits of", FIELDS, "any")
         self._mask = choice("mask", MASKS, "bits")
-        self._planner = choice("planner", list(PLANNERS), "rrt_star")
+        self._planner = choice("planner", [*PLANNERS, *plug_ins.names("planners")], "rrt_star")
         self._time = number("mission ends after, s", 200, 1)
         self._detector = choice("detector that recomputes", [NONE, *with_models()], NONE)
 

@@ -24,6 +24,7 @@ SENSORS = ("depth", "odometry", "imu")
 MOTORS = ("motor0", "motor1", "motor2", "motor3")
 
 MaskKind = Literal["bits", "uniform", "byte", "word", "histogram"]
+MASK_KINDS: tuple[MaskKind, ...] = get_args(MaskKind)
 
 
 class FaultSpec(Strict):
@@ -272,7 +273,7 @@ class FaultSpec(Strict):
 def _with_histogram(given: Any) -> Any:
     """A specification as it is written, with the histogram of a mask of another package for its name."""
     name = given.get("mask") if isinstance(given, dict) else None
-    if not isinstance(name, str) or name in get_args(MaskKind) or not plug_ins.is_installed("masks", name):
+    if not isinstance(name, str) or name in MASK_KINDS or not plug_ins.is_installed("masks", name):
         return given
     if given.get("histogram") is not None:
         message = f"histogram and mask {name} both say which bits: leave out one"

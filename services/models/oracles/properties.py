@@ -117,8 +117,7 @@ def refuse_unknown_signal(text: str) -> None:
     """
     signal = parse(text).signal
     if signal not in SIGNALS and not plug_ins.is_installed("signals", signal):
-        message = f"unknown signal {signal!r}; known: {', '.join((*SIGNALS, *plug_ins.names('signals')))}"
-        raise ValueError(message)
+        raise plug_ins.UnknownPlugInError(plug_ins.unknown("signals", signal, SIGNALS))
 
 
 def evaluate(wanted: Property, times_s: Floats, values: Floats) -> PropertyResult:
