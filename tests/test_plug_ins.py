@@ -2,20 +2,16 @@
 
 import json
 import re
-import shlex
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.scratch_environment import install, make_environment
+from tests.scratch_environment import PLUG_INS as PAGE
+from tests.scratch_environment import install_examples, zenfi
 
-ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "plug_ins.md"
 COMMANDS: list[str] = re.findall(r"^\$ zenfi (.*)$", PAGE.read_text(), re.MULTILINE)
-RUN = "from dashboard.cli import main; main()"
 
 pytestmark = pytest.mark.process
 
@@ -24,23 +20,8 @@ pytestmark = pytest.mark.process
 def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the example, and an environment of its own that has it installed, and our packages."""
     folder = tmp_path_factory.mktemp("plug-ins")
-    shutil.copytree(ROOT / "docs" / "plug_ins", folder / "docs" / "plug_ins")
-    make_environment(folder, ROOT)
-    (what,) = re.findall(r"^\$ pip install (.*)$", PAGE.read_text(), re.MULTILINE)
-    install(folder, what)
+    install_examples(folder)
     return folder
-
-
-def zenfi(scratch: Path, arguments: str) -> subprocess.CompletedProcess[str]:
-    """The command in the environment of the scratch folder."""
-    return subprocess.run(
-        [".venv/bin/python", "-c", RUN, *shlex.split(arguments)],
-        cwd=scratch,
-        capture_output=True,
-        text=True,
-        stdin=subprocess.DEVNULL,
-        check=False,
-    )
 
 
 def flown(scratch: Path, arguments: str) -> dict[str, Any]:
@@ -140,6 +121,8 @@ def test_a_broken_plug_in_is_named(scratch: Path) -> None:
     finally:
         module.write_text(whole)
     assert listed.returncode == 1
+    assert "not usable" in listed.stdout
+    assert "world 'spiral' (zenfi_examples:SPIRAL) cannot be imported" in listed.stderr
     assert refused.returncode == 2
     assert "world 'spiral' (zenfi_examples:SPIRAL) cannot be imported" in refused.stderr
 

@@ -133,8 +133,15 @@ def plugins(as_json: bool) -> None:
         table = Table("kind", "name", "package", "where", "state", box=None)
         for one in found:
             table.add_row(
-                one.kind, one.name, f"{one.package} {one.version}", one.value, one.problem or "works"
+                one.kind,
+                one.name,
+                f"{one.package} {one.version}",
+                one.value,
+                "not usable" if one.problem else "works",
             )
         Console().print(table)
+        for one in found:
+            if one.problem:
+                click.echo(f"zenfi: {one.problem}", err=True)
     if any(one.problem for one in found):
         raise SystemExit(1)
