@@ -6,8 +6,11 @@ python3 launch.py unit       the tests that start no process: less than a minute
 python3 launch.py soak       the long tests that are not in the gate
 python3 launch.py docs       makes the API reference in build/api
 python3 launch.py mutants    tries small wrong changes of the code, each of which a test must notice
+python3 launch.py lock       installs the newest versions for all jobs and writes them to constraints.txt
 
 What follows is passed on: to pytest after test, unit and soak, else to the command itself.
+
+python3 launch.py --locked JOB   installs the versions of constraints.txt and no others
 """
 
 import hashlib
@@ -23,6 +26,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent
 ENVIRONMENT = ROOT / ".venv"
 BIN = ENVIRONMENT / "bin"
+LOCK = ROOT / "constraints.txt"
 
 JOBS = {
     "demo": [["zenfi", "demo"]],
@@ -58,17 +62,34 @@ Many tests wait for what they started: as many processes as processors would lea
 """
 
 
-def install(what: str) -> None:
-    """Install ``what`` into the environment, unless that was done for this pyproject.toml."""
+def install(what: str, *, locked: bool) -> None:
+    """Install ``what`` into the environment, unless that was done for this pyproject.toml and this lock."""
     stamp = ENVIRONMENT / f"installed-{what.strip('.[]') or 'zenfi'}"
-    wanted = hashlib.sha256((ROOT / "pyproject.toml").read_bytes()).hexdigest()
+    sources = (ROOT / "pyproject.toml", *([LOCK] if locked else []))
+    wanted = hashlib.sha256(b"".join(one.read_bytes() for one in sources)).hexdigest()
     if stamp.exists() and stamp.read_text() == wanted:
         return
     if not (BIN / "pip").exists():
         venv.create(ENVIRONMENT, with_pip=True)
-    pip = [str(BIN / "pip"), "install", "--quiet", "--disable-pip-version-check", "--editable", what]
-    subprocess.run(pip, cwd=ROOT, check=True)
+    constraints = ["--constraint", str(LOCK)] if locked else []
+    pip("install", "--quiet", "--editable", what, *constraints)
     stamp.write_text(wanted)
+
+
+def pip(*arguments: str) -> str:
+    """Run the environment's pip; what it printed."""
+    command = [str(BIN / "pip"), "--disable-pip-version-check", *arguments]
+    return subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
+def lock() -> int:
+    """Install the newest versions and write them to the lock, without the builds of one index (``+cpu``)."""
+    install(".[test]", locked=False)
+    pip("install", "--quiet", "--upgrade", "--upgrade-strategy", "eager", "--editable", ".[test]")
+    installed = pip("freeze", "--all", "--exclude", "pip", "--exclude-editable").splitlines()
+    lines = ["# The versions of launch.py --locked; written by: python3 launch.py lock", *installed]
+    LOCK.write_text("".join(f"{one.partition('+')[0]}\n" for one in lines))
+    return 0
 
 
 def run(commands: Sequence[Sequence[str]]) -> int:
@@ -113,11 +134,15 @@ def main() -> int:
     if sys.version_info < (3, 11):
         sys.stderr.write(f"launch.py: needs Python 3.11 or newer, this is {sys.version.split()[0]}\n")
         return 2
-    job, more = "".join(sys.argv[1:2]), sys.argv[2:]
+    locked = sys.argv[1:2] == ["--locked"]
+    given = sys.argv[2 if locked else 1 :]
+    job, more = "".join(given[:1]), given[1:]
+    if job == "lock" and not locked and not more:
+        return lock()
     if job not in JOBS:
-        sys.stderr.write(f"usage: python3 launch.py {'|'.join(JOBS)}\n")
+        sys.stderr.write(f"usage: python3 launch.py [--locked] {'|'.join(JOBS)}, or lock\n")
         return 2
-    install({"demo": ".", "docs": ".[docs]"}.get(job, ".[test]"))
+    install({"demo": ".", "docs": ".[docs]"}.get(job, ".[test]"), locked=locked)
     return run(commands(job, more))
 
 

@@ -1,9 +1,14 @@
-"""What ``python3 launch.py`` runs side by side: all ends, all is shown, the first failure counts."""
+"""What ``python3 launch.py`` installs and runs: all ends, all is shown, the first failure counts."""
 
 import signal
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import launch
 from tests.conftest import wait_until
@@ -69,5 +74,36 @@ def test_an_unknown_job_is_told_which_there_are() -> None:
     )
     assert (done.returncode, done.stderr) == (
         2,
-        "usage: python3 launch.py demo|test|unit|soak|mutants|docs\n",
+        "usage: python3 launch.py [--locked] demo|test|unit|soak|mutants|docs, or lock\n",
     )
+
+
+def test_locked_installs_the_versions_of_the_lock(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, ...]] = []
+    monkeypatch.setattr(launch, "ENVIRONMENT", tmp_path)
+    monkeypatch.setattr(launch, "BIN", tmp_path)
+    monkeypatch.setattr(launch, "LOCK", tmp_path / "lock")
+    monkeypatch.setattr(launch, "pip", lambda *arguments: asked.append(arguments))
+    (tmp_path / "pip").touch()
+    launch.LOCK.write_text("numpy==2.0.0\n")
+    launch.install(".", locked=True)
+    launch.install(".", locked=True)
+    assert [one[-2:] for one in asked] == [("--constraint", str(launch.LOCK))]
+    launch.LOCK.write_text("numpy==2.0.1\n")
+    launch.install(".", locked=True)
+    assert len(asked) == 2
+    launch.install(".", locked=False)
+    assert "--constraint" not in asked[-1]
+    assert len(asked) == 3
+
+
+def test_the_lock_has_a_version_of_each_requirement() -> None:
+    lines = [one for one in launch.LOCK.read_text().splitlines() if not one.startswith("#")]
+    locked = {canonicalize_name(one.name): one.specifier for one in map(Requirement, lines)}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    for line in (*project["dependencies"], *project["optional-dependencies"]["test"]):
+        required = Requirement(line)
+        (version,) = locked[canonicalize_name(required.name)]
+        assert version.operator == "=="
+        assert "+" not in version.version, "a build that one index has"
+        assert required.specifier.contains(version.version), line

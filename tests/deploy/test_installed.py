@@ -1,13 +1,8 @@
-"""ZenFI as pip installs it: a wheel, in the site-packages in which all that it needs lies too."""
+"""The main jobs from the wheel, outside the checkout: what it answers there is what it answers here."""
 
 import json
-import os
-import shutil
-import subprocess
-import sys
-import sysconfig
-import tomllib
-import venv
+import signal
+import socket
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -17,47 +12,38 @@ from deploy.mission.fork_server import ForkServer
 from deploy.pairing.golden_twin import PairFlyer
 from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
+from tests.conftest import wait_until
+from tests.deploy.installed import (
+    PACKAGES,
+    ROOT,
+    Installed,
+    build_wheel,
+    download_and_install,
+    link_and_install,
+)
 
-ROOT = Path(__file__).parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
-PACKAGES = [name.rstrip("*") for name in PROJECT["tool"]["setuptools"]["packages"]["find"]["include"]]
-PIP = ("-m", "pip", "--disable-pip-version-check", "--quiet")
+VERSIONS = ("3.11", "3.12", "3.13")
+LINKED = "linked"
+"""What ZenFI needs is this environment's; else it is downloaded for the Python that is named."""
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel, built from a copy: a build leaves files beside what it builds."""
-    copy, wheels = tmp_path_factory.mktemp("copy"), tmp_path_factory.mktemp("wheels")
-    for file in ("pyproject.toml", "README.md"):
-        shutil.copy(ROOT / file, copy)
-    for name in PACKAGES:
-        shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-    build = ("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", wheels, copy)
-    subprocess.run([sys.executable, *PIP, *build], check=True)
-    (built,) = wheels.iterdir()
-    return built
+    return build_wheel(tmp_path_factory.mktemp("copy"), tmp_path_factory.mktemp("wheels"))
 
 
-@pytest.fixture(scope="module")
-def environment(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A new environment with the wheel, and with links to what this one has but for ZenFI."""
-    folder = tmp_path_factory.mktemp("environment")
-    venv.create(folder, symlinks=True)
-    packages = site_packages(folder)
-    for entry in Path(sysconfig.get_path("purelib")).iterdir():
-        if entry.name not in (*PACKAGES, "__pycache__") and not entry.name.startswith(
-            ("__editable__", "zenfi-")
-        ):
-            (packages / entry.name).symlink_to(entry)
-    install = ("install", "--no-deps", "--no-index", "--no-compile", wheel)
-    subprocess.run([folder / "bin" / "python", *PIP, *install], check=True)
-    # As packages do that were made for older versions of Python.
-    (packages / "dataclasses.py").write_text("raise ImportError('this is not the standard library')\n")
-    return folder
-
-
-def site_packages(environment: Path) -> Path:
-    return Path(sysconfig.get_path("purelib", "venv", {"base": str(environment)}))
+@pytest.fixture(
+    scope="module", params=[LINKED, *(pytest.param(version, marks=pytest.mark.soak) for version in VERSIONS)]
+)
+def installed(
+    request: pytest.FixtureRequest, wheel: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Installed:
+    made = Installed(tmp_path_factory.mktemp("environment"), tmp_path_factory.mktemp("elsewhere"))
+    if request.param == LINKED:
+        link_and_install(wheel, made)
+    else:
+        download_and_install(wheel, request.param, made)
+    return made
 
 
 def test_the_wheel_holds_every_file_of_the_product(wheel: Path) -> None:
@@ -66,31 +52,16 @@ def test_the_wheel_holds_every_file_of_the_product(wheel: Path) -> None:
     assert packed == {str(file.relative_to(ROOT)) for file in files if "__pycache__" not in file.parts}
 
 
-@pytest.mark.soak
-def test_a_flight_from_the_wheel_is_that_from_the_checkout(
-    environment: Path, server: ForkServer, tmp_path: Path
-) -> None:
+def test_a_flight_is_that_from_the_checkout(installed: Installed, server: ForkServer) -> None:
     spec = MissionSpec(world="sparse", seed=7, fault=FaultSpec(target="octomap", seed=3))
     here = PairFlyer(server).fly(spec)
     assert here.injection is not None
     assert here.golden is not None
-    surroundings = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
-    def answer(*command: str) -> str:
-        program = environment / "bin" / command[0]
-        return subprocess.run(
-            [program, *command[1:]],
-            cwd=tmp_path,
-            env=surroundings,
-            stdout=subprocess.PIPE,
-            text=True,
-            check=True,
-        ).stdout
-
-    where = answer("python", "-c", "import services, sim; print(services.__file__, sim.__file__)").split()
-    assert all(Path(file).is_relative_to(site_packages(environment)) for file in where)
-    fault = ("--fault", "instruction:octomap", "--fault-seed", "3")
-    there = json.loads(answer("zenfi", "fly", "--world", "sparse", "--seed", "7", *fault, "--json"))
+    files = installed.answer("python", "-c", "import services, sim; print(services.__file__, sim.__file__)")
+    assert all(Path(file).is_relative_to(installed.packages) for file in files.split())
+    fault = ("--fault", "instruction:octomap", "--fault-seed", 3)
+    there = json.loads(installed.answer("zenfi", "fly", "--world", "sparse", "--seed", 7, *fault, "--json"))
     assert here.golden.result == there["golden"]["result"] == "success"
     assert here.golden.digest == there["golden"]["digest"]
 
@@ -98,6 +69,58 @@ def test_a_flight_from_the_wheel_is_that_from_the_checkout(
     for name in ("module", "build_id", "offset", "register", "bits"):
         assert there["injection"][name] == here.injection.model_dump(by_alias=True)[name]
     assert there["digest"] == here.digest
-    (tmp_path / "flight.json").write_text(here.model_dump_json(by_alias=True))
-    told = json.loads(answer("zenfi", "replay", "flight.json", "--json"))
+    (installed.folder / "flight.json").write_text(here.model_dump_json(by_alias=True))
+    told = json.loads(installed.answer("zenfi", "replay", "flight.json", "--json"))
     assert told["answer"] in ("replayed", "relocated")
+
+
+def test_the_readme_s_main_job(installed: Installed) -> None:
+    assert "guarded" in installed.answer("zenfi", "campaign", "run", "demo", "--scale", 0.1)
+    assert "replayed" in installed.answer("zenfi", "replay", "demo-1")
+
+
+def test_a_detector_is_trained_and_flies(installed: Installed) -> None:
+    recorded, model = installed.folder / "recorded", installed.folder / "model.json"
+    installed.answer("zenfi", "train", "record", "--output", recorded, "--seeds", 1, "--world", "sparse")
+    installed.answer("zenfi", "train", "gaussian", "--data", recorded, "--output", model)
+    told = installed.answer("zenfi", "fly", "--seed", 7, "--detector", f"gaussian,model={model}", "--json")
+    assert json.loads(told)["result"] == "success"
+
+
+def test_kernels_are_struck_alone(installed: Installed) -> None:
+    told = installed.answer("zenfi", "kernels", "run", "--kernel", "pid", "--injections", 50, "--json")
+    assert told.count("\n") > 1
+
+
+def test_any_process_is_struck(installed: Installed) -> None:
+    endless = "while True: sum(range(1000))"
+    with installed.start("python", "-c", endless) as program:
+        try:
+            told = installed.answer("zenfi", "inject", "--pid", program.pid, "--seed", 3, "--json")
+        finally:
+            program.kill()
+    assert "register" in told
+
+
+def test_a_service_flies(installed: Installed) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    ask = (
+        "import zenfi\n"
+        f"with zenfi.connect('http://127.0.0.1:{port}') as service: print(service.fly(seed=7).digest)\n"
+        "print(zenfi.fly(seed=7).digest)"
+    )
+    with installed.start("zenfi", "serve", "--port", port) as service:
+        try:
+            wait_until(lambda: _listens(port))
+            there, here = installed.answer("python", "-c", ask).split()
+        finally:
+            service.send_signal(signal.SIGTERM)
+    assert there == here
+    assert service.returncode == 0
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as visitor:
+        return visitor.connect_ex(("127.0.0.1", port)) == 0
