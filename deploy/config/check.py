@@ -28,6 +28,9 @@ from sim.mission.area import corners
 from sim.vehicle.airframe import airframe
 from sim.world import make_world
 
+LAUNCHERS = ("env", "sh", "bash", "dash", "zsh", "ksh")
+"""What runs a script that starts a program: pyenv's ``python3`` is one of bash."""
+
 
 def check(spec: MissionSpec) -> None:
     """Refuse what cannot be flown, before anything is started.
@@ -150,6 +153,12 @@ def _check_program(fault: FaultSpec, own: OwnStage) -> None:
         raise BadSpecError(message)
     if not own.function:
         message = f"stack: {stage} names no function, so no instruction of it can be struck"
+        raise BadSpecError(message)
+    if (launcher := Path(own.command[0]).name) in LAUNCHERS:
+        message = (
+            f"stack: {stage}: {' '.join(own.command)}: {launcher} only starts another program, so that one "
+            "would not be struck: name it in the command (of pyenv's launchers, what `pyenv which NAME` says)"
+        )
         raise BadSpecError(message)
     if fault.recurs_in_instructions:
         raise BadSpecError(f"fault: recurrence {fault.recurrence} goes with our own kernels, not programs")

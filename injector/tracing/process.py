@@ -176,6 +176,13 @@ class Process:
             raise VanishedError(message)
         for field in fields(ProcessIdentity):
             is_, was = getattr(found, field.name), getattr(self._expected, field.name)
+            if is_ != was and field.name == "executable":
+                runs = os.readlink(f"/proc/{self.pid}/exe")  # noqa: PTH115 - as the kernel tells it
+                message = (
+                    f"process {self.pid} is not the announced one: it runs {runs} now; "
+                    "of a launcher, name the program that it starts"
+                )
+                raise ChangedError(message)
             if is_ != was:
                 message = f"process {self.pid} is not the announced one: {field.name} is {is_}, not {was}"
                 raise ChangedError(message)

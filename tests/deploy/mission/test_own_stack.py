@@ -1,6 +1,7 @@
 """A program in C++ that knows nothing of Zenoh flies a mission, is struck, and the flight repeats."""
 
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -70,6 +71,21 @@ def test_it_is_struck_and_the_record_names_instruction_and_symbol(stack: OwnStac
     assert again.injection is not None
     volatile = {"pid", "tid", "pause_us"}
     assert again.injection.model_dump(exclude=volatile) == record.model_dump(exclude=volatile)
+
+
+def test_python_code_is_struck(tmp_path: Path, pairs: PairFlyer) -> None:
+    compiled(tmp_path)
+    file = tmp_path / "pursuit_python.toml"
+    file.write_text(file.read_text().replace('"python3"', f'"{sys.executable}"'))
+    stack = read(file)
+    outcome = struck(pairs, stack, 4)
+    assert outcome.golden is not None
+    assert outcome.golden.result == "success"
+    record = outcome.injection
+    assert record is not None
+    assert (record.status, record.precision, record.node) == ("injected", "exact", "control")
+    assert "python" in record.module
+    assert struck(pairs, stack, 4).digest == outcome.digest
 
 
 def test_a_struck_flight_replays_from_what_its_outcome_says(stack: OwnStack, pairs: PairFlyer) -> None:
@@ -176,6 +192,20 @@ def test_a_program_that_was_built_anew_is_refused(tmp_path: Path) -> None:
 def test_without_a_function_no_instruction_of_it_can_be_struck(tmp_path: Path) -> None:
     stack = scripted(tmp_path, "")
     with pytest.raises(BadSpecError, match="names no function"):
+        check(mission(stack, fault=FaultSpec(target="control")))
+
+
+@pytest.mark.parametrize("first", ["#!/usr/bin/env bash", "#!/bin/sh"])
+def test_a_launcher_is_not_struck(tmp_path: Path, first: str) -> None:
+    """As pyenv's: its ``python3`` is a script that starts the real one."""
+    compiled(tmp_path)
+    (tmp_path / "launcher").write_text(f'{first}\nexec ./pursuit "$@"\n')
+    (tmp_path / "launcher").chmod(0o755)
+    file = tmp_path / "pursuit.toml"
+    file.write_text(file.read_text().replace("./pursuit", "./launcher"))
+    stack = read(file)
+    check(mission(stack))
+    with pytest.raises(BadSpecError, match=rf"{tmp_path}/launcher: \w+ only starts another program.*name it"):
         check(mission(stack, fault=FaultSpec(target="control")))
 
 
