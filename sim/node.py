@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from services.bus import frames
 from services.bus.horizon import NEVER_NS
 from services.bus.messages import Mission, TwistStamped, header
 from services.bus.ports import Input
@@ -39,20 +40,20 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
     with ClockOwner(setup, proxy, stats) as node:
         commands, plan = node.input("command"), node.input("trajectory")
         node.ready("perception")
-        node.put("goal", telemetry.goal(header(0, "map"), flight.world))
+        node.put("goal", telemetry.goal(header(0, frames.MAP), flight.world))
         if flight.area is not None:
-            node.put("task", telemetry.task(header(0, "map"), flight.world, flight.area))
-        node.put("camera_info", telemetry.camera_info(header(0, "camera"), camera))
+            node.put("task", telemetry.task(header(0, frames.MAP), flight.world, flight.area))
+        node.put("camera_info", telemetry.camera_info(header(0, frames.CAMERA_OPTICAL), camera))
         exposed_ns = -1
         while True:
             now_ns = node.now_ns
-            pose = telemetry.odometry(header(now_ns, "map"), flight.vehicle, flight.drift)
+            pose = telemetry.odometry(header(now_ns, frames.ODOM), flight.vehicle, flight.drift)
             measure(node, failing, "odometry", pose)
             if (felt := flight.felt) is not None:
-                measure(node, failing, "imu", telemetry.imu(header(now_ns, "body"), felt))
+                measure(node, failing, "imu", telemetry.imu(header(now_ns, frames.BASE_LINK), felt))
             # A frame that a newer one will have replaced when perception is free is not exposed.
             if now_ns + TICK_NS > node.busy_until("perception", exposed_ns):
-                image = telemetry.depth_image(header(now_ns, "camera"), camera, flight.vehicle)
+                image = telemetry.depth_image(header(now_ns, frames.CAMERA_OPTICAL), camera, flight.vehicle)
                 if measure(node, failing, "depth", image):
                     exposed_ns = now_ns
             else:
@@ -88,7 +89,7 @@ def report(node: Node, flight: SimulatedFlight, plan: Input) -> bool:
     result = flight.judge(no_path=newest is not None and bool(newest.failed))
     if result is not None or node.now_ns % 1_000_000_000 == 0:
         qof = flight.qof(success=result == "success", replans=int(replans))
-        stamp = header(node.now_ns, "map")
+        stamp = header(node.now_ns, frames.MAP)
         node.put(
             "mission",
             Mission(header=stamp, result=result or "flying", qof=qof.model_dump_json(exclude_none=True)),

@@ -61,7 +61,7 @@ def in_domain(ros: RosOptions | None, spec: MissionSpec) -> Iterator[Watch | Non
 
         def watch(flown: MissionSpec, recorder: FlightRecorder) -> None:
             if (flown.fault is None) == (spec.fault is None):
-                bridge.show(recorder)
+                bridge.show(flown, recorder)
 
         yield watch
         bridge.finish()

@@ -20,7 +20,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from deploy.errors import BadSpecError
-from deploy.recording import visualization
+from deploy.recording.derived import DERIVED, DerivedMessages
 from deploy.recording.live_feed import SOCKET, LiveFeedReader, MalformedFeedError
 from deploy.recording.ordering import TYPES, SentMessage
 from services.bus.messages import TYPESTORE
@@ -33,8 +33,12 @@ READ_BYTES = 1 << 18
 LOOK_S = 0.25
 """Between two looks for clients that have subscribed."""
 
-_ALL: Mapping[str, str] = MappingProxyType({**TYPES, **visualization.TYPES})
-_STREAMS = {name for name, topic in TOPICS.items() if topic.qos == "stream"} | {"tf", "pose", "alarm"}
+_ALL: Mapping[str, str] = MappingProxyType({**TYPES, **{name: one.type for name, one in DERIVED.items()}})
+_STREAMS = {
+    *(name for name, topic in TOPICS.items() if topic.qos == "stream"),
+    *(name for name, topic in DERIVED.items() if not topic.quality.transient_local),
+    "alarm",
+}
 
 
 class FoxgloveChannels:
@@ -89,7 +93,7 @@ class FlightStage:
         self._selector.register(self._door, selectors.EVENT_READ)
         self._feed: socket.socket | None = None
         self._hearing = LiveFeedReader()
-        self._display: visualization.Visualization | None = None
+        self._derived: DerivedMessages | None = None
 
     def run(self) -> None:
         """Send messages until an exception ends it."""
@@ -110,7 +114,7 @@ class FlightStage:
             feed.close()
             return
         self._selector.register(feed, selectors.EVENT_READ)
-        self._feed, self._hearing, self._display = feed, LiveFeedReader(), None
+        self._feed, self._hearing, self._derived = feed, LiveFeedReader(), None
         self._shown.begin()
 
     def _hear(self) -> None:
@@ -126,12 +130,12 @@ class FlightStage:
             self._leave()
 
     def _show(self, sent: SentMessage) -> None:
-        if self._display is None:
+        if self._derived is None:
             assert self._hearing.spec is not None  # noqa: S101 - it comes first
-            self._display = visualization.Visualization(self._hearing.spec)
+            self._derived = DerivedMessages(self._hearing.spec)
         self._shown.show(sent)
-        for drawn in self._display.of(sent):
-            self._shown.show(drawn)
+        for made in self._derived.of(sent):
+            self._shown.show(made)
 
     def _leave(self) -> None:
         feed, self._feed = self._feed, None  # first: a signal may end this anywhere, and run() leaves again

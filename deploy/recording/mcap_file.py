@@ -9,7 +9,7 @@ from mcap.writer import CompressionType, Writer
 
 from services.bus.horizon import Stamped
 from services.bus.messages import TYPESTORE, type_hash
-from services.bus.topics import TOPICS
+from services.bus.ros2 import Qos
 
 CHUNK_BYTES = 500_000
 """Before compression. A chunk is closed by the message that fills it, and is to stay below 1 MB: the longest
@@ -19,7 +19,7 @@ METADATA = "zenfi"
 """Name of the metadata records: at the beginning what was flown, at the end what became of it."""
 
 _QOS = """- history: 1
-  depth: 1
+  depth: {depth}
   reliability: 1
   durability: {durability}
   deadline: {{sec: 9223372036, nsec: 854775807}}
@@ -28,7 +28,7 @@ _QOS = """- history: 1
   liveliness_lease_duration: {{sec: 9223372036, nsec: 854775807}}
   avoid_ros_namespace_conventions: false
 """
-"""As rosbag2 writes it: keep the last, reliable, no deadline; transient local (1) or volatile (2)."""
+"""As rosbag2 writes it: keep the last ones, reliable, no deadline; transient local (1) or volatile (2)."""
 
 
 class McapFile:
@@ -42,10 +42,10 @@ class McapFile:
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
 
-    def write(self, topic: str, message_type: str, message: Stamped) -> None:
+    def write(self, topic: str, message_type: str, quality: Qos, message: Stamped) -> None:
         """Write one message; its time in the file is the virtual time at which it was ready."""
         if topic not in self._channels:
-            self._channels[topic] = self._channel(topic, message_type)
+            self._channels[topic] = self._channel(topic, message_type, quality)
         self._writer.add_message(
             self._channels[topic],
             message.ready_ns,
@@ -64,14 +64,13 @@ class McapFile:
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.flush()
 
-    def _channel(self, topic: str, message_type: str) -> int:
+    def _channel(self, topic: str, message_type: str, quality: Qos) -> int:
         if message_type not in self._schemas:
             text, _ = TYPESTORE.generate_msgdef(message_type, ros_version=2)
             self._schemas[message_type] = self._writer.register_schema(message_type, "ros2msg", text.encode())
-        declared = TOPICS.get(topic)
-        latched = declared is None or declared.qos == "latched"
+        durability = 1 if quality.transient_local else 2
         metadata = {
-            "offered_qos_profiles": _QOS.format(durability=1 if latched else 2),
+            "offered_qos_profiles": _QOS.format(depth=quality.depth, durability=durability),
             "topic_type_hash": type_hash(message_type),
         }
         return self._writer.register_channel(f"/{topic}", "cdr", self._schemas[message_type], metadata)

@@ -11,15 +11,20 @@ from types import TracebackType
 from typing import Protocol
 
 from deploy.errors import InfrastructureError
-from deploy.recording import visualization
+from deploy.recording.derived import DERIVED, DerivedMessages
 from deploy.recording.mcap_file import McapFile
 from deploy.recording.ordering import TYPES, SentMessage, in_order
 from services.bus.horizon import Stamped
+from services.bus.ros2 import Qos, quality
+from services.bus.topics import TOPICS
 from services.models.mission import MissionSpec
 from services.models.outcome import Outcome, RecordingReport
 
 WAITING_BYTES = 64_000_000
 """Of messages that wait for the disk; what comes beyond is dropped, and counted."""
+
+EVENT = Qos(transient_local=True, depth=1)
+"""The quality of service that an event has which is no topic of the bus: an alarm."""
 
 _PACKAGES = ("zenfi", "eclipse-zenoh", "mujoco", "numpy", "numba", "ompl", "pyoctomap", "rosbags", "mcap")
 
@@ -37,7 +42,7 @@ class McapRecorder:
     def __init__(self, path: Path, spec: MissionSpec, about: Mapping[str, str] | None = None) -> None:
         self._path = path
         self._about = {**_about(spec), **(about or {})}
-        self._display = visualization.Visualization(spec)
+        self._derived = DerivedMessages(spec)
         self._queue: queue.SimpleQueue[Sequence[SentMessage] | Outcome | None] = queue.SimpleQueue()
         self._offered = self._taken = 0  # bytes, each counted by one thread alone
         self._written = self._dropped = 0
@@ -102,10 +107,12 @@ class McapRecorder:
             self._problem = error
 
     def _put(self, file: McapFile, sent: SentMessage) -> None:
-        file.write(sent.topic, TYPES[sent.topic], sent.message)
+        declared = TOPICS.get(sent.topic)
+        offered = EVENT if declared is None else quality(declared)
+        file.write(sent.topic, TYPES[sent.topic], offered, sent.message)
         self._written += 1
-        for drawn in self._display.of(sent):
-            file.write(drawn.topic, visualization.TYPES[drawn.topic], drawn.message)
+        for made in self._derived.of(sent):
+            file.write(made.topic, *DERIVED[made.topic], made.message)
 
 
 def _size(batch: Sequence[SentMessage]) -> int:

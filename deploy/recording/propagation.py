@@ -180,11 +180,16 @@ def _pixels(one: Any, other: Any, _goal: Any) -> float:
 
 
 def _points(one: Any, other: Any, _goal: Any) -> float:
-    """Mean way from point to point; clouds of different numbers of points are not comparable."""
-    clouds = [message.data.view(np.float32).reshape(-1, 3) for message in (one, other)]
-    if clouds[0].shape != clouds[1].shape:
+    """Mean way from point to point; if there are more or fewer, to the nearest point of the other cloud."""
+    a, b = (message.data.view(np.float32).reshape(-1, 3).astype(np.float64) for message in (one, other))
+    if len(a) == len(b):
+        return float(np.linalg.norm(a - b, axis=1).mean()) if len(a) else 0.0
+    if not len(a) or not len(b):
         return math.nan
-    return float(np.linalg.norm(clouds[0].astype(np.float64) - clouds[1], axis=1).mean())
+    from scipy.spatial import KDTree  # noqa: PLC0415 - slow to import
+
+    ways = (np.mean(KDTree(there).query(here)[0]) for here, there in ((a, b), (b, a)))
+    return float(max(ways))
 
 
 def _urgency(one: Any, other: Any, _goal: Any) -> float:

@@ -1,57 +1,31 @@
-"""Messages for viewers: standard messages made from a flight's own, only when they are recorded.
-
-Frames: ``map`` the world, ``body`` the vehicle, ``camera`` its camera (z forwards, x right, as ROS has it).
-"""
+"""Messages for viewers: the obstacles, the vehicle, the planned path and the map, as RViz draws them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 from rosbags.typesys.stores.ros2_jazzy import builtin_interfaces__msg__Duration as Duration
 from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__PoseStamped as PoseStamped
-from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__Transform as Transform
-from rosbags.typesys.stores.ros2_jazzy import geometry_msgs__msg__TransformStamped as TransformStamped
 from rosbags.typesys.stores.ros2_jazzy import nav_msgs__msg__Path as Path
 from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__CompressedImage as CompressedImage
 from rosbags.typesys.stores.ros2_jazzy import std_msgs__msg__ColorRGBA as Colour
-from rosbags.typesys.stores.ros2_jazzy import tf2_msgs__msg__TFMessage as Transforms
 from rosbags.typesys.stores.ros2_jazzy import visualization_msgs__msg__Marker as Marker
 from rosbags.typesys.stores.ros2_jazzy import visualization_msgs__msg__MeshFile as MeshFile
 
-from deploy.recording.ordering import SentMessage
-from services.bus.arrays import Floats, cloud_message, plan, point, quaternion, state, vector, xyz
-from services.bus.horizon import Stamped
-from services.bus.messages import TYPESTORE, Header, MalformedMessageError, Pose, decode, encode, header
-from services.bus.topics import TOPICS
+from services.bus import frames
+from services.bus.arrays import Floats, cloud_message, plan, point, quaternion, turned, vector, xyz
+from services.bus.messages import TYPESTORE, Header, Pose, header
 from services.models.mission import MissionSpec
 from services.models.safety import BODY_RADIUS_M
 from sim.world import World, make_world
-
-TYPES: Mapping[str, str] = MappingProxyType(
-    {
-        "tf_static": "tf2_msgs/msg/TFMessage",
-        "tf": "tf2_msgs/msg/TFMessage",
-        "pose": "geometry_msgs/msg/PoseStamped",
-        "obstacles": "visualization_msgs/msg/MarkerArray",
-        "moving_obstacles": "visualization_msgs/msg/MarkerArray",
-        "vehicle": "visualization_msgs/msg/MarkerArray",
-        "planned_path": "nav_msgs/msg/Path",
-        "occupied": "sensor_msgs/msg/PointCloud2",
-    }
-)
-"""What is added to a recording, and its type."""
 
 MOVING_PERIOD_NS = 200_000_000
 """Between two messages of where the moving obstacles are."""
 
 MAP_PERIOD_NS = 1_000_000_000
 """Between two clouds of the occupied voxels: most of them are in the cloud before as well."""
-
-_OPTICAL = np.array([0.5, -0.5, 0.5, -0.5])
-"""(w, x, y, z): takes the camera's axes to the body's, x forwards and z up."""
 
 _MarkerArray = TYPESTORE.types["visualization_msgs/msg/MarkerArray"]
 _GREY, _ORANGE, _BROWN = (0.6, 0.6, 0.65, 1.0), (1.0, 0.55, 0.1, 1.0), (0.76, 0.42, 0.11, 1.0)
@@ -66,55 +40,35 @@ class Shape(NamedTuple):
 
 
 class Visualization:
-    """Makes the messages to draw of one flight. A message that makes no sense is not drawn."""
+    """Makes the messages to draw of one flight: ``makers`` are by the topic from which they are made."""
 
     def __init__(self, spec: MissionSpec) -> None:
         self._spec = spec
-        self._counts = dict.fromkeys(TYPES, 0)
         self._space: tuple[Floats, Floats] | None = None
         self._next_map_ns = 0
         self._moving: World | None = None
         self._next_moving_ns = 0
-        self._makers: Mapping[str, Callable[[int, Any], Iterator[tuple[str, Any]]]] = {
+        self.makers: Mapping[str, Callable[[int, Any], Iterator[tuple[str, Any]]]] = {
             "goal": self._world,
-            "odometry": self._at,
+            "odometry": self._around,
             "trajectory": _path,
             "map": self._occupied,
         }
 
-    def of(self, sent: SentMessage) -> Iterator[SentMessage]:
-        """The messages to draw once ``sent`` has come."""
-        maker = self._makers.get(sent.topic)
-        if maker is None:
-            return
-        at_ns = sent.message.ready_ns
-        try:
-            message = decode(sent.message.payload, TOPICS[sent.topic].type)
-            made = list(maker(at_ns, message))
-        except MalformedMessageError:
-            return
-        for topic, drawn in made:
-            yield SentMessage(topic, Stamped(self._counts[topic], at_ns, encode(drawn, TYPES[topic])))
-            self._counts[topic] += 1
-
     def _world(self, at_ns: int, goal: Any) -> Iterator[tuple[str, Any]]:
         self._space = xyz(goal.lower), xyz(goal.upper)
-        at = header(at_ns, "map")
+        at = header(at_ns, frames.MAP)
         world = make_world(self._spec.world, self._spec.seed)
         self._moving = world if len(world.moving) else None
         yield "obstacles", _markers(at, "obstacles", _cubes(world.fixed), _GREY)
         hull = Shape(Marker.SPHERE, np.zeros(3), np.full(3, 2 * BODY_RADIUS_M) * (1.0, 1.0, 0.2))
-        yield "vehicle", _markers(header(at_ns, "body"), "vehicle", [hull], _ORANGE)
-        turn = Transform(translation=vector(np.zeros(3)), rotation=quaternion(_OPTICAL))
-        mounted = TransformStamped(header=header(at_ns, "body"), child_frame_id="camera", transform=turn)
-        yield "tf_static", Transforms(transforms=[mounted])
+        yield "vehicle", _markers(header(at_ns, frames.BASE_LINK), "vehicle", [hull], _ORANGE)
 
-    def _at(self, at_ns: int, odometry: Any) -> Iterator[tuple[str, Any]]:
-        yield from _pose(odometry)
+    def _around(self, at_ns: int, _: Any) -> Iterator[tuple[str, Any]]:
         if self._moving is not None and at_ns >= self._next_moving_ns:
             self._next_moving_ns = at_ns + MOVING_PERIOD_NS
             cubes = _cubes(self._moving.moved(at_ns / 1e9))
-            yield "moving_obstacles", _markers(header(at_ns, "map"), "moving_obstacles", cubes, _BROWN)
+            yield "moving_obstacles", _markers(header(at_ns, frames.MAP), "moving_obstacles", cubes, _BROWN)
 
     def _occupied(self, at_ns: int, octomap: Any) -> Iterator[tuple[str, Any]]:
         if self._space is None or at_ns < self._next_map_ns:
@@ -127,39 +81,25 @@ class Visualization:
         seen = known(octomap.data.tobytes(), resolution_m, low, high)
         found = np.flatnonzero(seen.ravel() == SEEN_OCCUPIED)  # in one dimension: ten times as fast
         cells = np.stack(np.unravel_index(found, seen.shape), axis=1) + np.floor(low / resolution_m) + 0.5
-        yield "occupied", cloud_message(header(at_ns, "map"), (cells * resolution_m).astype(np.float32))
+        yield "occupied", cloud_message(header(at_ns, frames.MAP), (cells * resolution_m).astype(np.float32))
 
 
 def _cubes(boxes: Floats) -> list[Shape]:
     return [Shape(Marker.CUBE, (box[:3] + box[3:]) / 2, box[3:] - box[:3]) for box in boxes]
 
 
-def _pose(odometry: Any) -> Iterator[tuple[str, Any]]:
-    state(odometry)  # refuses what is no pose
-    pose = odometry.pose.pose
-    moved = Transform(translation=vector(xyz(pose.position)), rotation=pose.orientation)
-    yield (
-        "tf",
-        Transforms(
-            transforms=[TransformStamped(header=odometry.header, child_frame_id="body", transform=moved)]
-        ),
-    )
-    yield "pose", PoseStamped(header=odometry.header, pose=pose)
-
-
 def _path(at_ns: int, trajectory: Any) -> Iterator[tuple[str, Any]]:
     """Each point with the time at which the vehicle is to be there."""
     poses = [
-        PoseStamped(header=header(round(row[0] * 1e9), "map"), pose=_level(row[1:4], row[10]))
+        PoseStamped(header=header(round(row[0] * 1e9), frames.MAP), pose=_level(row[1:4], row[10]))
         for row in plan(trajectory).points
         if 0.0 <= row[0] < 2**31
     ]
-    yield "planned_path", Path(header=header(at_ns, "map"), poses=poses)
+    yield "planned_path", Path(header=header(at_ns, frames.MAP), poses=poses)
 
 
 def _level(position: Floats, yaw: float) -> Pose:
-    turned = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
-    return Pose(position=point(position), orientation=quaternion(turned))
+    return Pose(position=point(position), orientation=quaternion(turned(yaw)))
 
 
 def _markers(at: Header, kind: str, shapes: list[Shape], colour: tuple[float, ...]) -> Any:

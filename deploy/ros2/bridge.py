@@ -1,5 +1,7 @@
 """A flight in a ROS 2 domain: what its stages publish is published again there, as it was.
 
+So are the standard messages that are made from it (:mod:`deploy.recording.derived`), by a node of their own.
+
 The bridge looks into the recorder from a thread of its own. Nothing of the flight waits for it or depends on
 it, so a flight that is shown is the same as one that is not.
 """
@@ -12,23 +14,23 @@ from collections.abc import Iterator
 
 from rosbags.typesys.stores.ros2_jazzy import rosgraph_msgs__msg__Clock as Clock
 
+from deploy.recording.derived import DERIVED, DerivedMessages
+from deploy.recording.ordering import SentMessage
 from deploy.recording.recorder import FlightRecorder
 from deploy.ros2.domain import Domain
 from services.bus.horizon import Stamped
 from services.bus.messages import encode, header
-from services.bus.ros2 import Qos
-from services.bus.topics import RECORDED, Topic
+from services.bus.ros2 import Qos, quality
+from services.bus.topics import RECORDED
+from services.models.mission import MissionSpec
 
 LOOK_S = 0.005
 CLOCK, CLOCK_TYPE = "clock", "rosgraph_msgs/msg/Clock"
+DERIVED_BY = "derived"
+"""The node that publishes what is made from the flight's messages."""
+
 _BY = "odometry"
 """The topic whose messages, one a tick, set the clock."""
-
-
-def quality(topic: Topic) -> Qos:
-    """The quality of service that a topic has in the ROS graph."""
-    latched = topic.qos == "latched"
-    return Qos(transient_local=latched, depth=1 if latched else 10)
 
 
 def clock(now_ns: int) -> bytes:
@@ -48,15 +50,20 @@ class Bridge:
             topic.name: domain.publisher(topic.publisher, f"/{topic.name}", topic.type, quality(topic))
             for topic in RECORDED
         }
+        self._derived = {
+            name: domain.publisher(DERIVED_BY, f"/{name}", topic.type, topic.quality)
+            for name, topic in DERIVED.items()
+        }
         self._clock = domain.publisher("sim", f"/{CLOCK}", CLOCK_TYPE, Qos(depth=1))
         self._shown = dict.fromkeys(self._publishers, 0)
         self._landed = threading.Event()
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
 
-    def show(self, recorder: FlightRecorder) -> None:
-        """Begin to show a flight; called at its start."""
-        self._thread = threading.Thread(target=self._run, args=(recorder,), daemon=True)
+    def show(self, spec: MissionSpec, recorder: FlightRecorder) -> None:
+        """Begin to show the flight of ``spec``; called at its start."""
+        seen = (recorder, DerivedMessages(spec))
+        self._thread = threading.Thread(target=self._run, args=seen, daemon=True)
         self._thread.start()
 
     def finish(self) -> None:
@@ -70,13 +77,13 @@ class Bridge:
         if self._error is not None:
             raise self._error
 
-    def _run(self, recorder: FlightRecorder) -> None:
+    def _run(self, recorder: FlightRecorder, derived: DerivedMessages) -> None:
         try:
-            self._show_all(recorder)
+            self._show_all(recorder, derived)
         except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
             self._error = error
 
-    def _show_all(self, recorder: FlightRecorder) -> None:
+    def _show_all(self, recorder: FlightRecorder, derived: DerivedMessages) -> None:
         begun = time.monotonic()
         while True:
             landed = self._landed.is_set()  # before the last look, so that nothing is left
@@ -84,6 +91,8 @@ class Bridge:
                 if self._pace:
                     time.sleep(max(0.0, begun + message.ready_ns / 1e9 / self._pace - time.monotonic()))
                 self._publish(topic, message)
+                for made in derived.of(SentMessage(topic, message)):
+                    self._derived[made.topic].put(made.message.payload, message.ready_ns)
             if landed:
                 return
             time.sleep(LOOK_S)

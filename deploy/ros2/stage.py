@@ -13,9 +13,9 @@ from typing import BinaryIO
 
 import zenoh
 
-from deploy.ros2.bridge import CLOCK, CLOCK_TYPE, clock, quality
+from deploy.ros2.bridge import CLOCK, CLOCK_TYPE, clock
 from deploy.ros2.domain import Domain, Publisher
-from services.bus.ros2 import Qos
+from services.bus.ros2 import Qos, quality
 from services.bus.topics import TOPICS, published_by
 from services.foreign.program import ProgramOutput
 from services.models.mission import MissionSpec

@@ -63,6 +63,11 @@ def rotated(vector: Floats, rotation: Floats) -> Floats:
     return np.array([a + w * i + y * k - z * j, b + w * j + z * i - x * k, c + w * k + x * j - y * i])
 
 
+def turned(yaw: float) -> Floats:
+    """The unit quaternion (w, x, y, z) of a turn to the left about the vertical, rad."""
+    return np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+
+
 def inverse(rotation: Floats) -> Floats:
     """The unit quaternion (w, x, y, z) that turns back."""
     return rotation * (1.0, -1.0, -1.0, -1.0)

@@ -9,6 +9,7 @@ import struct
 from typing import Literal, NamedTuple
 
 from services.bus.messages import type_hash
+from services.bus.topics import Topic
 
 ADMIN_SPACE = "@ros2_lv"
 """Where liveliness tokens stand; no wildcard but one behind it matches."""
@@ -66,6 +67,12 @@ class Qos(NamedTuple):
         durability = "1" if self.transient_local else ""
         depth = "" if self.depth == DEFAULT_DEPTH else str(self.depth)
         return f"{reliability}:{durability}:,{depth}:,:,:,,"
+
+
+def quality(topic: Topic) -> Qos:
+    """The quality of service that a topic of ours has in ROS."""
+    latched = topic.qos == "latched"
+    return Qos(transient_local=latched, depth=1 if latched else 10)
 
 
 class RosNode(NamedTuple):

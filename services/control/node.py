@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from services.bus import frames
 from services.bus.arrays import POINT_FIELDS, Floats, plan, state, vector, verdict
 from services.bus.detector_protocol import shown_command
 from services.bus.messages import Twist, TwistStamped, header
@@ -80,4 +81,4 @@ def shown(flown: Follower, now_s: float, command: TwistStamped) -> Floats:
 def command_message(node: Node, command: Floats) -> TwistStamped:
     """The message of a command (4,): velocity, world frame, and yaw rate."""
     twist = Twist(linear=vector(command[:3]), angular=vector(np.array([0.0, 0.0, command[3]])))
-    return TwistStamped(header=header(node.now_ns, "map"), twist=twist)
+    return TwistStamped(header=header(node.now_ns, frames.MAP), twist=twist)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from services.bus import frames
 from services.bus.arrays import (
     NO_PLAN,
     POINT_FIELDS,
@@ -27,7 +28,7 @@ from services.bus.proxy_link import NodeLink
 from services.perception.collision import CollisionCounter, time_to_collision
 from services.perception.messages import Pinhole, check_message, depth_array, map_message, pinhole
 from services.perception.occupancy import OccupancyMap
-from services.perception.point_cloud import point_cloud
+from services.perception.point_cloud import in_world, point_cloud
 from services.runtime.node import Node
 from services.runtime.realtime import join
 from services.runtime.setup import NodeSetup
@@ -40,9 +41,9 @@ def warm_up() -> None:
     depth = np.full((2, 2), 5.0, dtype=np.float32)
     # A frame's buffer comes from the bus and is read-only: to numba a type of its own.
     depth.setflags(write=False)
-    attitude = np.array([1.0, 0.0, 0.0, 0.0])
-    cloud = point_cloud(depth, 1.0, 1.0, 0.5, 0.5, np.zeros(3), attitude, occupancy.range_m)
-    occupancy.insert(cloud, np.zeros(3))
+    here, ahead = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    scan = point_cloud(depth, 1.0, 1.0, 0.5, 0.5, occupancy.range_m)
+    occupancy.insert(in_world(*scan, here, ahead), here)
     occupancy.to_binary()
     points = np.zeros((2, POINT_FIELDS))
     points[1, :2] = 1.0
@@ -93,14 +94,15 @@ def perceive(
     """
     pose, (fx, fy, cx, cy) = view.pose, view.lens
     with node.kernel("point_cloud"):
-        cloud = point_cloud(view.depth, fx, fy, cx, cy, pose.position, pose.attitude, occupancy.range_m)
-    published = node.put("cloud", cloud_message(header(view.seen_ns, "map"), cloud))
+        points, misses = point_cloud(view.depth, fx, fy, cx, cy, occupancy.range_m)
+    published = node.put("cloud", cloud_message(header(view.seen_ns, frames.CAMERA_OPTICAL), points))
     with node.kernel("octomap"):
-        occupancy.insert(cloud_points(published), pose.position)
-    node.put("map", map_message(header(view.seen_ns, "map"), occupancy))
+        scan = in_world(cloud_points(published), misses, pose.position, pose.attitude)
+        occupancy.insert(scan, pose.position)
+    node.put("map", map_message(header(view.seen_ns, frames.MAP), occupancy))
     checked_ns = node.now_ns
     with node.kernel("collision_check"):
         left_s = time_to_collision(flown.points, checked_ns / 1e9, occupancy)
     counter = copy(before)
     found = counter.update(flown.trajectory_seq, flown.future_collision_seq, collision=isfinite(left_s))
-    return check_message(header(checked_ns, "map"), flown, found, left_s), counter
+    return check_message(header(checked_ns, frames.MAP), flown, found, left_s), counter

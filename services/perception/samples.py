@@ -13,7 +13,7 @@ from services.bus.messages import Header
 from services.perception.collision import time_to_collision
 from services.perception.messages import depth_array, pinhole
 from services.perception.occupancy import OccupancyMap
-from services.perception.point_cloud import point_cloud
+from services.perception.point_cloud import in_world, point_cloud
 from services.runtime.kernel_trial import KernelTrial, NoSampleError, Sample, SampleFlight, cdr, decoded
 
 FRAMES = 5
@@ -76,24 +76,31 @@ def _verify(sample: Sample, flight: SampleFlight, found: int) -> None:
 
 
 class PointCloudTrial(KernelTrial):
-    """The newest frame's cloud: points (n, 3), m."""
+    """The newest frame's cloud: points (n, 3), then the ends of rays that met nothing, optical frame, m."""
 
     def __init__(self, _: str, sample: Sample, frame: int = FRAMES - 1) -> None:
         image = depth_array(decoded("depth", sample[f"depth_{frame}"]))
         pose = state(decoded("odometry", sample[f"odometry_{frame}"]))
         lens = pinhole(decoded("camera_info", sample["camera_info"]))
-        self.position = pose.position
-        range_m = float(sample["map"][1])
-        self._arguments: tuple[Any, ...] = image, *lens, pose.position, pose.attitude, range_m
-        self.points = np.empty((0, 3), dtype=np.float32)
+        self.position, self.attitude = pose.position, pose.attitude
+        self._arguments: tuple[Any, ...] = image, *lens, float(sample["map"][1])
+        self.points = self.misses = np.empty((0, 3), dtype=np.float32)
 
     def run(self) -> None:
         """Compute the point cloud of the sample."""
-        self.points = point_cloud(*self._arguments)
+        self.points, self.misses = point_cloud(*self._arguments)
 
     def values(self) -> NDArray[Any]:
-        """The points of the cloud that was computed."""
-        return self.points
+        """The points of the cloud that was computed, then the ends of rays that met nothing."""
+        return np.concatenate([self.points, self.misses])
+
+    def image(self) -> bytes:
+        """Every bit, and which points are ends of rays that met nothing."""
+        return f"{len(self.points)} ".encode() + super().image()
+
+    def insert(self, occupancy: OccupancyMap) -> None:
+        """Insert what was computed into a map."""
+        occupancy.insert(in_world(self.points, self.misses, self.position, self.attitude), self.position)
 
 
 class OctomapTrial(KernelTrial):
@@ -105,20 +112,19 @@ class OctomapTrial(KernelTrial):
 
     def __init__(self, _: str, sample: Sample) -> None:
         self.occupancy = _map(sample, FRAMES - 1)
-        newest = PointCloudTrial("", sample)
-        newest.run()
-        self._points, self._origin = newest.points, newest.position
+        self.newest = PointCloudTrial("", sample)
+        self.newest.run()
 
     def run(self) -> None:
         """Insert the newest cloud into the map."""
-        self.occupancy.insert(self._points, self._origin)
+        self.newest.insert(self.occupancy)
 
     def values(self) -> NDArray[Any]:
         """The labels of the map's voxels after the insertion."""
         step = self.occupancy.resolution_m
         reach = np.arange(-self.occupancy.range_m, self.occupancy.range_m + step, step)
         around = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
-        centres = (np.floor((self._origin + around) / step) + 0.5) * step
+        centres = (np.floor((self.newest.position + around) / step) + 0.5) * step
         return self.occupancy.labels(centres)
 
     def image(self) -> bytes:
@@ -151,5 +157,5 @@ def _map(sample: Sample, frames: int) -> OccupancyMap:
     for frame in range(frames):
         cloud = PointCloudTrial("", sample, frame)
         cloud.run()
-        occupancy.insert(cloud.points, cloud.position)
+        cloud.insert(occupancy)
     return occupancy

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from services.bus import frames
 from services.bus.arrays import Floats, place, plan_message, sound_goal, sound_task, state, verdict
 from services.bus.detector_protocol import shown_trajectory
 from services.bus.messages import header
@@ -67,7 +68,7 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
                     # No kernel runs, but nobody may see a trajectory sooner than one could.
                     made_after = node.spec.kernels_before(TOPICS["trajectory"])
                     node.now_ns += sum(node.latency(name).least_ns for name in made_after)
-                    node.put("trajectory", plan_message(header(node.now_ns, "map"), opening))
+                    node.put("trajectory", plan_message(header(node.now_ns, frames.MAP), opening))
                     continue
                 request = navigator.consider(node.now_ns / 1e9, now.position, now.velocity, now.yaw, found)
                 node.guards.take(navigator.acted)
@@ -122,4 +123,4 @@ def make(node: Node, request: PlanRequest, grid: VoxelGrid) -> Floats | None:
 
 def announced(node: Node, request: PlanRequest, points: Floats | None) -> Any:
     """The message of what was made, the mission not being given up."""
-    return plan_message(header(node.now_ns, "map"), request.plan(points))
+    return plan_message(header(node.now_ns, frames.MAP), request.plan(points))

@@ -25,6 +25,11 @@ class Drift:
         self._draws: Floats = np.empty((0, 3))
         self.offset: Floats = np.zeros(3)
 
+    @property
+    def variance_m2(self) -> float:
+        """The variance of each coordinate of the offset, over all flights."""
+        return self._steps * self._step_m**2
+
     def advance(self) -> None:
         """Advance the random walk by one period of odometry."""
         if not self._step_m:

@@ -1,4 +1,4 @@
-"""Sensor messages of the simulated vehicle. Frames: ``map`` the world, ``body`` and ``camera`` on board."""
+"""Sensor messages of the simulated vehicle."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from services.bus.arrays import inverse, point, quaternion, rotated, vector
+from services.bus.frames import BASE_LINK
 from services.bus.messages import (
     CameraInfo,
     Goal,
@@ -27,19 +28,24 @@ from sim.sensors.odometry import Drift
 from sim.vehicle.vehicle import Floats, Vehicle
 from sim.world import World
 
-_EXACT = np.zeros(36)
+EXACT_VARIANCE = 1e-9
+"""Stated of what is measured exactly: estimators take a variance of zero for "unknown"."""
+
+_EXACT = np.diag(np.full(6, EXACT_VARIANCE)).ravel()
+_POSITION = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0]).ravel()
 
 
 def odometry(header: Header, vehicle: Vehicle, drift: Drift) -> Odometry:
-    """Pose in the world frame, twist in the body frame: REP 105, nav_msgs/Odometry."""
+    """Pose in the odometry frame, twist in the body frame (REP 105); covariances as the drift has them."""
     attitude = vehicle.quaternion
     pose = Pose(position=point(vehicle.position + drift.offset), orientation=quaternion(attitude))
     linear = rotated(vehicle.velocity, inverse(attitude))
     twist = Twist(linear=vector(linear), angular=vector(vehicle.body_rates))
+    covariance = _EXACT if not drift.variance_m2 else _EXACT + _POSITION * drift.variance_m2
     return Odometry(
         header=header,
-        child_frame_id="body",
-        pose=PoseWithCovariance(pose=pose, covariance=_EXACT),
+        child_frame_id=BASE_LINK,
+        pose=PoseWithCovariance(pose=pose, covariance=covariance),
         twist=TwistWithCovariance(twist=twist, covariance=_EXACT),
     )
 

@@ -71,7 +71,9 @@ NARROWED: dict[str, dict[str, str]] = {
 
 class _ThinnedOctomap(perception_samples.OctomapTrial):
     def run(self) -> None:
-        self.occupancy.insert(self._points[::EVERY_POINT].copy(), self._origin)
+        self.newest.points = self.newest.points[::EVERY_POINT].copy()
+        self.newest.misses = self.newest.misses[::EVERY_POINT].copy()
+        super().run()
 
 
 def shorten(kernel: str) -> None:

@@ -18,7 +18,7 @@ from services.control.following import follower
 from services.models.mission import MissionSpec
 from services.perception.collision import CollisionCounter, time_to_collision
 from services.perception.occupancy import OccupancyMap
-from services.perception.point_cloud import point_cloud
+from services.perception.point_cloud import in_world, point_cloud
 from services.planning.pilot import Navigator, PlanRequest, Tactics
 from services.planning.planners import plan
 from services.planning.trajectory import trajectory
@@ -132,10 +132,8 @@ class Loop:
         depth = render(self.boxes, self.position, self.yaw)
         orientation = np.array([math.cos(self.yaw / 2), 0.0, 0.0, math.sin(self.yaw / 2)])
         centre = ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
-        points = point_cloud(
-            depth, FOCAL_PX, FOCAL_PX, *centre, self.position, orientation, self.occupancy.range_m
-        )
-        self.occupancy.insert(points, self.position)
+        scan = point_cloud(depth, FOCAL_PX, FOCAL_PX, *centre, self.occupancy.range_m)
+        self.occupancy.insert(in_world(*scan, self.position, orientation), self.position)
         seq, answered, trajectory_points, _ = self.published
         ahead = time_to_collision(trajectory_points, self.now, self.occupancy)
         count = self.counter.update(seq, answered, collision=math.isfinite(ahead))

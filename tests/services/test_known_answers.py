@@ -15,7 +15,7 @@ from services.kernels import KERNELS, PLANNERS
 from services.models.safety import SPEED_LIMIT_M_S
 from services.perception.collision import time_to_collision
 from services.perception.occupancy import OccupancyMap
-from services.perception.point_cloud import point_cloud
+from services.perception.point_cloud import in_world, point_cloud
 from services.planning.planners import CLIMB_WEIGHT, plan
 from services.planning.samples import problem
 from services.planning.trajectory import ACCELERATION_LIMIT_M_S2, Departure, trajectory
@@ -45,8 +45,8 @@ def seen(boxes: Boxes, places: list[tuple[float, float]]) -> OccupancyMap:
         for yaw in np.arange(8) * math.pi / 4:
             attitude = np.array([math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
             depth = render(boxes, position, yaw)
-            cloud = point_cloud(depth, FOCAL_PX, FOCAL_PX, *centre, position, attitude, occupancy.range_m)
-            occupancy.insert(cloud, position)
+            scan = point_cloud(depth, FOCAL_PX, FOCAL_PX, *centre, occupancy.range_m)
+            occupancy.insert(in_world(*scan, position, attitude), position)
     return occupancy
 
 

@@ -14,7 +14,7 @@ import pytest
 from dashboard.analysis.recordings_reader import FlightRecording, open_run
 from dashboard.viewers import blueprint
 from dashboard.viewers.viewer import VIEWERS
-from deploy.recording import visualization
+from deploy.recording.derived import DERIVED
 from tests.dashboard.recorded import flights
 
 __all__ = ["flights"]
@@ -102,4 +102,4 @@ def test_the_layouts_name_what_is_in_a_recording(recording: FlightRecording) -> 
     # Nothing moves in this world.
     assert shown - {"moving_obstacles"} <= set(recording.messages)
     assert {"obstacles", "vehicle", "planned_path", "cloud", "depth"} <= shown
-    assert set(visualization.TYPES) - {"moving_obstacles"} <= set(recording.messages)
+    assert set(DERIVED) - {"moving_obstacles"} <= set(recording.messages)

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from dashboard.analysis.recordings_reader import open_run
 from deploy.mission.fork_server import ForkServer
 from deploy.pairing.golden_twin import PairFlyer
-from deploy.recording import visualization
+from deploy.recording.derived import DERIVED
 from deploy.recording.ordering import TYPES
 from services.bus.topics import RECORDED, TICK_NS
 from tests.conftest import wait_until
@@ -37,6 +37,7 @@ NATIVE = {
     "tf": "Transform3D:translation",
     "depth": "DepthImage:buffer",
     "camera_info": "Pinhole:image_from_camera",
+    "imu/data_raw": "Scalars:scalars",
 }
 """What Rerun is to make of a topic, beyond its fields."""
 
@@ -54,7 +55,7 @@ def test_two_recordings_of_a_flight_are_the_same_to_the_byte(flights: dict[str, 
 
 def test_a_recording_holds_every_message_in_the_order_of_virtual_time(flights: dict[str, Path]) -> None:
     recording = open_run(flights["faulty"])
-    assert set(recording.messages) == {*TYPES, *visualization.TYPES} - {"task", "alarm", "moving_obstacles"}
+    assert set(recording.messages) == {*TYPES, *DERIVED} - {"task", "alarm", "moving_obstacles"}
     assert all(
         [message.seq for message in sent] == list(range(len(sent))) for sent in recording.messages.values()
     )
@@ -117,7 +118,7 @@ def test_odometry_tells_its_twist_in_the_body_frame(flights: dict[str, Path]) ->
     with AnyReader([flights["golden"]]) as bag:
         connections = [one for one in bag.connections if one.topic == "/odometry"]
         told: list[Any] = [bag.deserialize(raw, one.msgtype) for one, _, raw in bag.messages(connections)]
-    assert {(one.header.frame_id, one.child_frame_id) for one in told} == {("map", "body")}
+    assert {(one.header.frame_id, one.child_frame_id) for one in told} == {("odom", "base_link")}
     poses, twists = [one.pose.pose for one in told], [one.twist.twist for one in told]
     attitudes = Rotation.from_quat([(q.x, q.y, q.z, q.w) for q in (pose.orientation for pose in poses)])
     positions = np.array([(p.x, p.y, p.z) for p in (pose.position for pose in poses)])

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from deploy.recording.derived import DERIVED, DerivedMessages
 from deploy.recording.ordering import SentMessage
-from deploy.recording.visualization import MOVING_PERIOD_NS, TYPES, Visualization
+from deploy.recording.visualization import MOVING_PERIOD_NS
 from services.bus.horizon import Stamped
 from services.bus.messages import decode, encode, header
 from services.bus.topics import TOPICS
@@ -21,19 +22,19 @@ TICK_NS = 40_000_000
 def drawn(world: str, ticks: int) -> dict[str, list[tuple[int, object]]]:
     """What is drawn of a vehicle that hovers for some ticks, by topic, with its time."""
     spec = MissionSpec(world=world, seed=3)
-    flight, view = SimulatedFlight(spec), Visualization(spec)
+    flight, view = SimulatedFlight(spec), DerivedMessages(spec)
     found: dict[str, list[tuple[int, object]]] = {}
 
     def send(topic: str, at_ns: int, message: object) -> None:
         payload = encode(message, TOPICS[topic].type)
         for one in view.of(SentMessage(topic, Stamped(0, at_ns, payload))):
-            told = decode(one.message.payload, TYPES[one.topic])
+            told = decode(one.message.payload, DERIVED[one.topic].type)
             found.setdefault(one.topic, []).append((one.message.ready_ns, told))
 
     send("goal", 0, telemetry.goal(header(0, "map"), flight.world))
     for tick in range(ticks):
         at_ns = tick * TICK_NS
-        pose = telemetry.odometry(header(at_ns, "map"), flight.vehicle, flight.drift)
+        pose = telemetry.odometry(header(at_ns, "odom"), flight.vehicle, flight.drift)
         send("odometry", at_ns, pose)
     return found
 

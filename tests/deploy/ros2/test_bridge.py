@@ -59,7 +59,7 @@ def fly_shown(domain: LinkedDomain, server: ForkServer, *topics: str) -> FlownMi
     """A flight that is shown as soon as somebody receives those topics."""
     bridge = Bridge(domain, 0.0)
     wait_until(lambda: domain.are_linked(topics))
-    flight = fly(SPEC, server, watch=lambda _, recorder: bridge.show(recorder))
+    flight = fly(SPEC, server, watch=bridge.show)
     bridge.finish()
     return flight
 
@@ -74,17 +74,21 @@ def test_another_implementation_hears_the_flight(
     goals = ros_nodes.subscriber(port, DOMAIN, "/goal", goal)
     elsewhere = ros_nodes.subscriber(port, DOMAIN + 1, "/command", twist)
     clock = ros_nodes.subscriber(port, DOMAIN, "/clock", ros_nodes.described("rosgraph_msgs/msg/Clock", {}))
+    moved = ros_nodes.subscriber(port, DOMAIN, "/tf", ros_nodes.described("tf2_msgs/msg/TFMessage", {}))
     with LinkedDomain(DomainAddress(domain=DOMAIN, endpoint=endpoint)) as domain:
-        flight = fly_shown(domain, server, "/command", "/goal", "/clock")
+        flight = fly_shown(domain, server, "/command", "/goal", "/clock", "/tf")
         assert flight.outcome.digest == plain.outcome.digest
         assert plain.messages is not None
         sent = [decode(one.payload, TOPICS["command"].type) for one in plain.messages["command"]]
         wait_until(lambda: heard.qsize() >= len(sent))
         wait_until(lambda: clock.qsize() >= 70)
+        wait_until(lambda: moved.qsize() >= 70)
     got = [heard.get() for _ in sent]
     assert [one.twist.linear.x for one in got] == [one.twist.linear.x for one in sent]
     assert [one.header.stamp.nanosec for one in got] == [one.header.stamp.nanosec for one in sent]
     assert goals.get(timeout=5).position.x == 25.0
+    (transform,) = moved.get().transforms
+    assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
     assert elsewhere.empty()
 
 
@@ -105,10 +109,19 @@ def test_every_topic_is_in_the_graph_and_stamped_by_its_publisher(
         )
         late = latched.recv()
     chunks = [token.split("/") for token in tokens]
-    assert {one[8] for one in chunks if one[5] == "NN"} == {"sim", "perception", "planning", "control"}
+    assert {one[8] for one in chunks if one[5] == "NN"} == {
+        "sim",
+        "perception",
+        "planning",
+        "control",
+        "derived",
+    }
     published = {(one[8], one[9].replace("%", "/")): "/".join(one) for one in chunks if one[5] == "MP"}
     for topic in RECORDED:
         assert (topic.publisher, f"/{topic.name}") in published
+    # Quality of service as tf2 has it: reliable; the last 100, and for later subscribers the last one.
+    assert published["derived", "/tf"].endswith("/::,100:,:,:,,")
+    assert published["derived", "/tf_static"].endswith("/:1:,1:,:,:,,")
     assert len({one[4] for one in chunks}) == len(chunks), "an endpoint's number is its own"
     attachments = [Attachment.unpacked(came.get().attachment.to_bytes()) for _ in range(70)]
     assert [one.seq for one in attachments] == list(range(1, 71))
