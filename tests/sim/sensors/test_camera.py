@@ -162,27 +162,30 @@ def test_a_hit_beyond_the_range_never_comes_back_as_a_near_one() -> None:
     assert far > 700, "the ground is in view up to the horizon"
 
 
-FRAMES, EDGE_M = 10_000, 1e-6
+FRAMES, EDGE_M = 1250, 1e-6
 
 
 @pytest.mark.soak
-def test_no_return_is_a_phantom_at_any_attitude() -> None:
-    """Against a ray caster of our own, over all worlds: nothing is seen that is not there, or missed."""
+@pytest.mark.parametrize("name", WORLDS)
+def test_no_return_is_a_phantom_at_any_attitude(name: str) -> None:
+    """Against a ray caster of our own: nothing is seen that is not there, or missed."""
     rng = np.random.default_rng(2027)
-    settings, returns = Camera(), 0
-    worlds = [make_world(name, seed) for seed, name in enumerate(WORLDS)]
-    vehicles = [(world, Vehicle(world, AIRSIM)) for world in worlds]
+    settings, returns, world = Camera(), 0, make_world(name, 5)
+    vehicle = Vehicle(world, AIRSIM)
     for frame in range(FRAMES):
-        world, vehicle = vehicles[frame % len(vehicles)]
         place(vehicle, world, rng)
         eye = DepthCamera(settings, frame)
         seen = eye.render(vehicle).astype(np.float64)
         v, u = np.indices(seen.shape)
         rays = np.stack([np.ones(seen.shape), -(u - eye.cx) / eye.fx, -(v - eye.cy) / eye.fy], axis=-1)
         directions = rays.reshape(-1, 3) @ vehicle.rotation.T
+        away = np.maximum(
+            world.obstacles[:, :3] - vehicle.position, vehicle.position - world.obstacles[:, 3:]
+        )
+        near_by = world.obstacles[np.linalg.norm(np.maximum(away, 0.0), axis=1) < 1.6 * settings.range_m]
         # A ray that grazes an edge may meet it or not: between boxes a little larger and a little smaller.
         near, far = (
-            cast(vehicle.position, directions, grown(world.obstacles, by), ground).reshape(seen.shape)
+            cast(vehicle.position, directions, grown(near_by, by), ground).reshape(seen.shape)
             for by, ground in ((EDGE_M, EDGE_M), (-EDGE_M, -EDGE_M))
         )
         met = np.isfinite(seen)
