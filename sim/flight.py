@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,11 +18,14 @@ from sim.mission.referee import judge
 from sim.mission.true_path import PathWriter
 from sim.sensors.imu import ImuSamples, InertialUnit
 from sim.sensors.odometry import Drift
-from sim.vehicle.airframe import airframe
+from sim.vehicle.airframe import Airframe, airframe
 from sim.vehicle.motor_fault import MotorFault
 from sim.vehicle.vehicle import STEP_S, Floats, Vehicle
 from sim.vehicle.wind import Air
 from sim.world import make_world
+
+if TYPE_CHECKING:
+    from sim.autopilot.px4 import Px4Autopilot
 
 STEP_NS = round(STEP_S * 1e9)
 HOVER = np.zeros(4)
@@ -40,7 +44,9 @@ class SimulatedFlight:
         self.motor_fault = None
         if spec.fault is not None and spec.fault.level == "actuator":
             self.motor_fault = MotorFault(spec.fault, spec.seed, frame.max_thrust_n, STEP_S)
-        self.vehicle = Vehicle(self.world, frame, Air(spec.wind, spec.seed, STEP_S), self.motor_fault)
+        self._controller = _controller(spec, frame)
+        air = Air(spec.wind, spec.seed, STEP_S)
+        self.vehicle = Vehicle(self.world, frame, air, self.motor_fault, self._controller)
         self.drift = Drift(spec.odometry, spec.seed, TICK_NS / 1e9)
         self._imu = InertialUnit(spec.imu, spec.seed)
         self.felt: ImuSamples | None = None
@@ -95,7 +101,22 @@ class SimulatedFlight:
             no_path=no_path,
         )
 
+    def close(self) -> None:
+        """End the autopilot, if it is a program."""
+        if self._controller is not None:
+            self._controller.close()
+
     def qof(self, *, success: bool, replans: int) -> QoF:
         """Quality of the flight so far."""
         qof = self._meter.qof(success=success, replans=replans)
         return qof.model_copy(update={"coverage": self._objective.coverage})
+
+
+def _controller(spec: MissionSpec, frame: Airframe) -> Px4Autopilot | None:
+    """The program in the flight controller's place, if the mission has one."""
+    program = spec.stack.autopilot if spec.stack is not None else None
+    if program is None:
+        return None
+    from sim.autopilot.px4 import Px4Autopilot  # noqa: PLC0415 - most missions have none
+
+    return Px4Autopilot(program, frame, STEP_S, spec.imu, spec.seed)

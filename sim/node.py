@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
     spec = setup.spec
     flight, camera = SimulatedFlight(spec, setup.true_path), DepthCamera(spec.camera, spec.seed)
     failing = SensorFault(spec.fault, spec.seed) if spec.fault and spec.fault.level == "sensor" else None
-    with ClockOwner(setup, proxy, stats) as node:
+    with closing(flight), ClockOwner(setup, proxy, stats) as node:
         commands, plan = node.input("command"), node.input("trajectory")
         node.ready("perception")
         node.put("goal", telemetry.goal(header(0, frames.MAP), flight.world))

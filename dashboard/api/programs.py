@@ -13,7 +13,7 @@ from typing import NamedTuple
 from dashboard.campaigns.spec import CampaignSpec, stacks
 from deploy.config.definitions import own_stack
 from deploy.errors import BadSpecError
-from services.models.own_stack import OwnStack, OwnStage
+from services.models.own_stack import OwnAutopilot, OwnStack, OwnStage
 
 
 class ForbiddenError(BadSpecError):
@@ -28,8 +28,8 @@ class AllowedProgram(NamedTuple):
     sha256: str
 
     @classmethod
-    def of(cls, own: OwnStage) -> AllowedProgram:
-        """The allowed program that a stage would run."""
+    def of(cls, own: OwnStage | OwnAutopilot) -> AllowedProgram:
+        """The allowed program that would be run."""
         return cls(own.command, own.folder, own.sha256)
 
 
@@ -42,7 +42,7 @@ def named(files: Iterable[Path]) -> Programs:
     :raises BadSpecError: naming the file, if it is none, or a program cannot be run.
     """
     read = [OwnStack.model_validate(own_stack(file)) for file in files]
-    return frozenset(AllowedProgram.of(own) for stack in read for own in stack.stages.values())
+    return frozenset(AllowedProgram.of(own) for stack in read for own in stack.programs.values())
 
 
 def refuse_others(programs: Programs, spec: CampaignSpec) -> None:
@@ -51,10 +51,10 @@ def refuse_others(programs: Programs, spec: CampaignSpec) -> None:
     :raises ForbiddenError: naming the program and the remedy.
     """
     for stack in stacks(spec):
-        for stage, own in stack.stages.items():
+        for replaced, own in stack.programs.items():
             if AllowedProgram.of(own) not in programs:
                 message = (
-                    f"stack: {stage}: {own.command[0]!r} with these arguments, folder and digest is no "
+                    f"stack: {replaced}: {own.command[0]!r} with these arguments, folder and digest is no "
                     "program that the service was started with: zenfi serve --allow-stack FILE"
                 )
                 raise ForbiddenError(message)

@@ -82,9 +82,9 @@ def _check_plug_ins(spec: MissionSpec) -> None:
 def _check_stack(stack: OwnStack, spec: MissionSpec) -> None:
     if spec.clock != "lockstep":
         raise BadSpecError("stack: a stack of one's own flies in virtual time: leave out --clock realtime")
-    for stage, own in stack.stages.items():
+    for replaced, own in stack.programs.items():
         if digest_of(own.command, Path(own.folder)) != own.sha256:
-            message = f"stack: {stage}: {own.command[0]} is not what it was when it was specified"
+            message = f"stack: {replaced}: {own.command[0]} is not what it was when it was specified"
             raise BadSpecError(message)
 
 

@@ -110,13 +110,14 @@ def own_stack(file: Path) -> dict[str, Any]:
     """
     given = read_toml(str(file))
     stages = given.get("stages")
-    for stage in stages.values() if isinstance(stages, dict) else ():
-        words = stage.get("command") if isinstance(stage, dict) else None
+    programs = [*(stages.values() if isinstance(stages, dict) else ()), given.get("autopilot")]
+    for program in programs:
+        words = program.get("command") if isinstance(program, dict) else None
         if not (isinstance(words, list) and words and all(isinstance(word, str) for word in words)):
             continue  # reported below
-        folder = (file.parent / str(stage.get("folder", "."))).resolve()
+        folder = (file.parent / str(program.get("folder", "."))).resolve()
         command = [*_program(folder, words[0]), *words[1:]]
-        stage.update(folder=str(folder), command=command, sha256=digest_of(command, folder))
+        program.update(folder=str(folder), command=command, sha256=digest_of(command, folder))
     return _checked("stack", str(file), given)
 
 

@@ -32,11 +32,35 @@ class OwnStage(Strict):
     latency: KernelLatency
 
 
+class OwnAutopilot(Strict):
+    """A program in the flight controller's place, by PX4's simulator protocol (docs/autopilots.md).
+
+    ``command``, ``folder`` and ``sha256`` are as of an :class:`OwnStage`; ``{instance}`` in a word stands
+    for the number that is to be added to PX4's ports. Before the mission it has ``boot_s``, in which no
+    answer is awaited, then ``settle_s``, in which it is armed; the vehicle is held meanwhile.
+    """
+
+    command: Annotated[tuple[Text, ...], Field(min_length=1)]
+    folder: Text
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+    boot_s: float = Field(default=0.0, ge=0, le=120)
+    settle_s: float = Field(default=1.0, ge=0, le=120)
+
+
 class OwnStack(Strict):
-    """The own stages of a mission, by the stages that they replace."""
+    """The own stages of a mission, by the stages that they replace, and its own autopilot."""
 
     name: str = Field(min_length=1, max_length=60, pattern=r"^[A-Za-z0-9._-]+$")
-    stages: Annotated[Mapping[Stage, OwnStage], Field(min_length=1)]
+    stages: Mapping[Stage, OwnStage] = Field(default_factory=dict)
+    autopilot: OwnAutopilot | None = None
+
+    @property
+    def programs(self) -> dict[str, OwnStage | OwnAutopilot]:
+        """All that is run, by what it replaces."""
+        run: dict[str, OwnStage | OwnAutopilot] = dict(self.stages.items())
+        if self.autopilot is not None:
+            run["autopilot"] = self.autopilot
+        return run
 
     def of(self, stage: str) -> OwnStage | None:
         """The own stage that replaces ``stage``, if there is one."""
@@ -50,6 +74,8 @@ class OwnStack(Strict):
         return self
 
     def _problems(self) -> Iterator[str]:
+        if not self.programs:
+            yield "it replaces nothing: give it [stages.control], say, or [autopilot]"
         for stage, own in self.stages.items():
             given = [topic.name for topic in RECORDED if topic.publisher != stage]
             for name in own.inputs:

@@ -6,6 +6,7 @@ World frame x east, y north, z up; body frame x forward, y left, z up; quaternio
 from __future__ import annotations
 
 from math import atan2, cos, sin
+from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -25,6 +26,19 @@ STEP_S = 0.004
 TRACK_WIDTH = 14
 
 _MOVING = ".85 .4 .1 1"
+
+
+class ExternalController(Protocol):
+    """A flight controller in a process of its own, called at each physics step; as :class:`Autopilot`."""
+
+    def settle(self, pose: Floats, twist: Floats) -> None:
+        """Make it ready while the vehicle is held where it is."""
+
+    def command(self, velocity_command: Floats) -> None:
+        """Take up a velocity command."""
+
+    def update(self, pose: Floats, twist: Floats, thrust: Floats) -> None:
+        """Write the thrust of each rotor for one period."""
 
 
 class PhysicsDivergedError(RuntimeError):
@@ -102,7 +116,12 @@ class Vehicle:
     """
 
     def __init__(
-        self, world: World, airframe: Airframe, air: Air | None = None, motor_fault: MotorFault | None = None
+        self,
+        world: World,
+        airframe: Airframe,
+        air: Air | None = None,
+        motor_fault: MotorFault | None = None,
+        controller: ExternalController | None = None,
     ) -> None:
         self.model = mujoco.MjModel.from_xml_string(mjcf(world, airframe))
         # The translational axes of a free joint are the world's: heave drag acts along the vertical, from
@@ -130,7 +149,9 @@ class Vehicle:
         self.data.act[:] = self._thrust
         self._move_obstacles()
         mujoco.mj_forward(self.model, self.data)
-        self._autopilot = Autopilot(airframe, STEP_S, yaw)
+        self._autopilot: Autopilot | ExternalController = controller or Autopilot(airframe, STEP_S, yaw)
+        if controller is not None:
+            controller.settle(self._pose, self._twist)
 
     def advance(self, command: Floats, n_steps: int) -> Floats:
         """Flies ``n_steps`` physics steps under one velocity command.
