@@ -193,4 +193,6 @@ def _learn(store: Typestore, schema: Schema) -> None:
 def _plain(value: Any) -> Any:
     if isinstance(value, list):
         return [_plain(one) for one in value]
-    return dict(flat(value)) if hasattr(value, "__msgtype__") else value
+    if hasattr(value, "__msgtype__"):
+        return {name: _plain(part) for name, part in flat(value)}
+    return value

@@ -179,7 +179,7 @@ class Process:
             if is_ != was and field.name == "executable":
                 runs = os.readlink(f"/proc/{self.pid}/exe")  # noqa: PTH115 - as the kernel tells it
                 message = (
-                    f"process {self.pid} is not the announced one: it runs {runs} now; "
+                    f"process {self.pid} is not the announced one: its executable is {runs} now; "
                     "of a launcher, name the program that it starts"
                 )
                 raise ChangedError(message)

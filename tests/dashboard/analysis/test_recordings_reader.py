@@ -25,7 +25,7 @@ def test_a_topic_is_a_table_of_columns(flights: dict[str, Path]) -> None:
     assert list(table["seq"]) == list(range(count))
     assert table["pose.pose.position.x"].shape == (count,)
     assert table["pose.covariance"].shape == (count, 36)
-    assert table["child_frame_id"][0] == "body"
+    assert table["child_frame_id"][0] == "base_link"
     assert not [name for name in table if "__" in name]
     flown = np.stack([table[f"pose.pose.position.{axis}"] for axis in "xyz"])
     qof = QoF.model_validate_json(run.table("mission")["qof"][-1])
@@ -40,7 +40,7 @@ def test_a_table_goes_to_arrow(flights: dict[str, Path]) -> None:
     for topic in run.messages:
         arrow = run.table(topic).arrow()
         assert arrow.num_rows == len(run.messages[topic])
-    assert run.table("tf").arrow()["transforms"][0].as_py()[0]["child_frame_id"] == "body"
+    assert run.table("tf").arrow()["transforms"][0].as_py()[0]["child_frame_id"] == "base_link"
 
 
 def test_recordings_of_others_are_read_by_their_own_schemas(tmp_path: Path) -> None:

@@ -29,8 +29,10 @@ pytestmark = pytest.mark.usefixtures("may_inject")
 def sleeper() -> Iterator[Announcement]:
     """A process that runs another program than ours."""
     with subprocess.Popen(["/bin/sleep", "1000"]) as process:
-        yield Announcement("node", process.pid, process.pid, start_ticks(process.pid), boot_id())
-        process.kill()
+        try:
+            yield Announcement("node", process.pid, process.pid, start_ticks(process.pid), boot_id())
+        finally:
+            process.kill()
 
 
 def announced(target: Target) -> ProcessIdentity:
@@ -58,7 +60,8 @@ def test_an_announcement_from_another_boot_or_machine_is_refused() -> None:
 
 
 def test_another_program_is_refused() -> None:
-    with sleeper() as claim, pytest.raises(IdentityError, match="executable"):
+    told = r"executable is /.*/sleep now; of a launcher, name the program"
+    with sleeper() as claim, pytest.raises(IdentityError, match=told):
         Process(ProcessIdentity.announced(claim))
 
 

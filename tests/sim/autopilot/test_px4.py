@@ -54,6 +54,7 @@ def test_it_flies_as_the_built_in_controller_does_and_the_same_again(
     assert first.qof.min_clearance_m == pytest.approx(native.qof.min_clearance_m, abs=0.2)
 
 
+@pytest.mark.soak
 def test_a_fault_is_struck_in_our_stages_as_ever(stack: OwnStack, server: ForkServer) -> None:
     fault = FaultSpec(target="pid", seed=3)
     pairs = PairFlyer(server)
