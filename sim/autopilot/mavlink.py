@@ -39,7 +39,7 @@ _TABLE = _crc_table()
 
 
 def checksum(data: bytes, start: int = 0xFFFF) -> int:
-    """CRC-16/MCRF4XX."""
+    """The checksum of MAVLink, CRC-16/MCRF4XX, of ``data`` or of its continuation from ``start``."""
     value = start
     for byte in data:
         value = value >> 8 ^ _TABLE[(value ^ byte) & 0xFF]
@@ -227,7 +227,7 @@ class Sender:
         self._system, self._component, self._sequence = system, component, 0
 
     def frame(self, message: MessageType, **values: float | tuple[float, ...]) -> bytes:
-        """The bytes of a message."""
+        """The bytes by which a message is sent: head, payload and checksum."""
         payload = message.packed(values)
         low, high = message.number & 0xFFFF, message.number >> 16
         head = _HEAD.pack(BEGIN, len(payload), 0, 0, self._sequence, self._system, self._component, low, high)

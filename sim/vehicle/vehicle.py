@@ -35,7 +35,7 @@ class ExternalController(Protocol):
         """Make it ready while the vehicle is held where it is."""
 
     def command(self, velocity_command: Floats) -> None:
-        """Take up a velocity command."""
+        """Take up (vx, vy, vz, yaw rate) in the world frame, m/s and rad/s."""
 
     def update(self, pose: Floats, twist: Floats, thrust: Floats) -> None:
         """Write the thrust of each rotor for one period."""
