@@ -69,6 +69,13 @@ def test_a_flight_is_that_from_the_checkout(installed: Installed, server: ForkSe
     for name in ("module", "build_id", "offset", "register", "bits"):
         assert there["injection"][name] == here.injection.model_dump(by_alias=True)[name]
     assert there["digest"] == here.digest
+
+
+@pytest.mark.soak
+def test_a_record_of_the_checkout_replays(installed: Installed, server: ForkServer) -> None:
+    here = PairFlyer(server).fly(
+        MissionSpec(world="sparse", seed=7, fault=FaultSpec(target="octomap", seed=3))
+    )
     (installed.folder / "flight.json").write_text(here.model_dump_json(by_alias=True))
     told = json.loads(installed.answer("zenfi", "replay", "flight.json", "--json"))
     assert told["answer"] in ("replayed", "relocated")
