@@ -20,6 +20,9 @@ _SAME = (
 
 ReplayAnswer = Literal["replayed", "relocated", "diverged", "not_reached"]
 ANSWERS: tuple[ReplayAnswer, ...] = get_args(ReplayAnswer)
+STATUS_FLAGS = ("rflags", "nzcv")
+"""What a comparison leaves: of two pointers, the parity of their difference, say, tells where memory lies."""
+
 REPEATED: frozenset[ReplayAnswer] = frozenset({"replayed", "relocated"})
 """The answers that say that the same fault had the same outcome."""
 
@@ -88,7 +91,24 @@ def _pointers(record: InjectionRecord | None, repeated: InjectionRecord | None) 
     if record is None or repeated is None or record.state:
         return set()
     same_target = record.points_into and record.points_into == repeated.points_into
-    return {"registers at the site", "address"} | ({"before", "after", "read_back"} if same_target else set())
+    moved = same_target or _same_struck_flags(record, repeated)
+    return {"registers at the site", "address"} | ({"before", "after", "read_back"} if moved else set())
+
+
+def _same_struck_flags(record: InjectionRecord, repeated: InjectionRecord) -> bool:
+    """Whether status flags were struck that were the same.
+
+    Those beside them may be what a comparison of pointers left.
+    """
+    if not record.register_name == repeated.register_name in STATUS_FLAGS:
+        return False
+    struck = sum(1 << bit for bit in record.bits)
+    pairs = zip(
+        (record.before, record.after, record.read_back),
+        (repeated.before, repeated.after, repeated.read_back),
+        strict=True,
+    )
+    return all((int(one, 16) ^ int(other, 16)) & struck == 0 for one, other in pairs)
 
 
 def _repeatable(outcome: Outcome) -> dict[str, Any]:

@@ -78,17 +78,17 @@ class Px4Autopilot:
         self._to_simulated, self._to_offboard = Sender(1, 51), Sender(1, 191)
         self._receiver = Receiver()
         with ExitStack() as begun:
-            door, instance = _open_door()
+            door, radio, instance = open_ports()
+            self._radio = begun.enter_context(radio)
+            self._offboard = (_HOST, OFFBOARD_PORT + instance)
             with door:
-                self._radio = begun.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-                self._radio.bind((_HOST, COMPANION_PORT + instance))
-                self._offboard = (_HOST, OFFBOARD_PORT + instance)
                 self._process = _start(program, instance)
                 begun.callback(_stop, self._process)
                 try:
                     self._link, _ = door.accept()
                 except TimeoutError as error:
-                    message = f"{program.command[0]} did not connect to port {SIMULATOR_PORT + instance}"
+                    where = f"port {SIMULATOR_PORT + instance} within {PATIENCE_S:g} s"
+                    message = f"autopilot: {' '.join(program.command)} did not connect to {where}"
                     raise AutopilotError(message) from error
             begun.enter_context(self._link)
             self._link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -100,24 +100,26 @@ class Px4Autopilot:
 
         :raises AutopilotError: if it does not answer.
         """
+        if self._program.boot_s:
+            self._boot(pose, twist)
         idle = np.zeros(4)
-        for _ in range(round(self._program.boot_s / self._period_s)):
-            self._tell(pose, twist)
-            time.sleep(self._period_s)  # it takes its time, and answers when it can
-        self._link.setblocking(False)
-        while self._process.poll() is None:
-            try:
-                if not self._link.recv(1 << 16):
-                    break
-            except BlockingIOError:
-                break
-        self._link.settimeout(PATIENCE_S)
         steps = round(self._program.settle_s / self._period_s)
         for step in range(steps):
             if step == steps // 2:
                 self._ask(_DO_SET_MODE, _CUSTOM_MODE, _OFFBOARD)
                 self._ask(_ARM, 1.0, 0.0)
             self.update(pose, twist, idle)
+
+    def _boot(self, pose: Floats, twist: Floats) -> None:
+        """Tell the program what there is to see as fast as in reality; what it answers yet is of no use."""
+        for _ in range(round(self._program.boot_s / self._period_s)):
+            self._tell(pose, twist)
+            time.sleep(self._period_s)
+        self._link.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while self._link.recv(1 << 16):
+                pass
+        self._link.settimeout(PATIENCE_S)
 
     def command(self, velocity_command: Floats) -> None:
         """Take up (vx, vy, vz, yaw rate), world frame, m/s and rad/s, as the built-in controller does."""
@@ -205,22 +207,27 @@ class Px4Autopilot:
         return AutopilotError(f"autopilot: {' '.join(self._program.command)} {what}")
 
 
-def _open_door() -> tuple[socket.socket, int]:
-    """A socket on which the program will connect, and its instance: the first one whose port is free.
+def open_ports() -> tuple[socket.socket, socket.socket, int]:
+    """Where the program will connect, from where it is commanded, and its instance: the first that is free.
+
+    The second socket, kept as long as the program runs, keeps the instance from others.
 
     :raises AutopilotError: if there is none.
     """
     for instance in range(INSTANCES):
+        radio = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         door = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         door.settimeout(PATIENCE_S)
         try:
+            radio.bind((_HOST, COMPANION_PORT + instance))
             door.bind((_HOST, SIMULATOR_PORT + instance))
             door.listen(1)
         except OSError:
+            radio.close()
             door.close()
         else:
-            return door, instance
+            return door, radio, instance
     message = f"autopilot: the ports from {SIMULATOR_PORT} on are all taken"
     raise AutopilotError(message)
 

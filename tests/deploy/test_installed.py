@@ -71,7 +71,6 @@ def test_a_flight_is_that_from_the_checkout(installed: Installed, server: ForkSe
     assert there["digest"] == here.digest
 
 
-@pytest.mark.soak
 def test_a_record_of_the_checkout_replays(installed: Installed, server: ForkServer) -> None:
     here = PairFlyer(server).fly(
         MissionSpec(world="sparse", seed=7, fault=FaultSpec(target="octomap", seed=3))

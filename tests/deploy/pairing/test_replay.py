@@ -128,6 +128,25 @@ def test_a_struck_pointer_may_differ_by_where_memory_lies_and_nothing_else_may(
     assert compare(here, other).answer == expected
 
 
+@pytest.mark.parametrize(
+    ("there", "expected"),
+    [
+        ({"before": "00", "after": "40", "read_back": "40"}, "relocated"),
+        ({"before": "40", "after": "00", "read_back": "00"}, "diverged"),
+        ({"before": "00", "after": "40", "read_back": "40", "bits": [2]}, "diverged"),
+        ({"before": "00", "after": "40", "read_back": "40", "register_name": "rax"}, "diverged"),
+    ],
+)
+def test_flags_beside_the_struck_one_may_be_of_a_comparison_of_pointers(
+    first: Outcome, there: dict[str, object], expected: str
+) -> None:
+    """Seen between a checkout and a wheel: zero was struck behind a comparison, parity was another."""
+    flags = {"register_name": "rflags", "bits": [6], "points_into": ""}
+    here = recorded(first, "01", **{**flags, "before": "04", "after": "44", "read_back": "44"})
+    other = recorded(first, "01", **{**flags, **there})
+    assert compare(here, other).answer == expected
+
+
 def test_another_outcome_of_a_relocated_fault_is_a_divergence(first: Outcome) -> None:
     other = recorded(first, "02").model_copy(update={"digest": "00"})
     assert compare(recorded(first, "01"), other).answer == "diverged"

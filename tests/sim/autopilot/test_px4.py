@@ -16,6 +16,7 @@ from deploy.pairing.golden_twin import PairFlyer
 from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 from services.models.own_stack import OwnStack
+from sim.autopilot.px4 import open_ports
 from tests.fixtures.own_stacks import read
 
 STAND_IN = Path(__file__).parents[2] / "fixtures" / "px4_stand_in.py"
@@ -99,6 +100,23 @@ def test_an_autopilot_that_dies_is_our_failure_and_no_result(tmp_path: Path, ser
         "sys.exit(3)\n"
     )
     assert "ended with status 3" in fails(autopilot(tmp_path, str(script), "{instance}"), server)
+
+
+def test_flights_side_by_side_have_ports_of_their_own() -> None:
+    """Also when the program has connected, and nobody listens any more."""
+    door, radio, instance = open_ports()
+    with radio:
+        door.close()
+        other_door, other_radio, other = open_ports()
+        with other_door, other_radio:
+            assert other > instance
+
+
+def test_an_autopilot_boots_while_no_answer_is_awaited(tmp_path: Path, server: ForkServer) -> None:
+    own = autopilot(tmp_path, boot_s=0.2, settle_s=0.4)
+    outcome = fly(mission(own, limits=Limits(mission_time_s=2.0)), server).outcome
+    assert outcome.result == "timeout"
+    assert outcome.qof.distance_m > 0.5, "it was armed and flew"
 
 
 def test_a_stack_replaces_something(tmp_path: Path) -> None:
