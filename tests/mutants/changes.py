@@ -908,6 +908,56 @@ MUTANTS: list[Mutant] = [
         ("forest: trees stand as they fall", "figures.gap_m, count)", "0.0, count)"),
     ),
     *_of(
+        "deploy/recording/sensor_messages.py",
+        "tests/deploy/recording/test_ros_conventions.py",
+        ("tf: the optical frame has the axes of the camera's link", "_HERE, _OPTICAL)", "_HERE, _LEVEL)"),
+        (
+            "trajectory: times count from the mission's beginning",
+            "divmod(round(row[0] * 1e9) - begin_ns, 1_000_000_000)",
+            "divmod(round(row[0] * 1e9), 1_000_000_000)",
+        ),
+    ),
+    *_of(
+        "services/perception/point_cloud.py",
+        "tests/services/perception/test_point_cloud.py",
+        ("cloud: what met nothing is a point, too", "misses[missed, 0], ", "points[met, 0], "),
+        ("cloud: right is left in the world", "- end[0] * left[axis]", "+ end[0] * left[axis]"),
+    ),
+    *_of(
+        "sim/sensors/telemetry.py",
+        "tests/deploy/recording/test_ros_conventions.py",
+        (
+            "odometry: the twist is in the world frame",
+            "linear = rotated(vehicle.velocity, inverse(attitude))",
+            "linear = vehicle.velocity",
+        ),
+        ("odometry: drift is not stated", "_EXACT + _POSITION * drift.variance_m2", "_EXACT"),
+    ),
+    *_of(
+        "sim/autopilot/hil.py",
+        "tests/sim/autopilot/test_hil.py",
+        (
+            "autopilot: the nose points elsewhere",
+            "sign * (x + y), sign * (x - y)",
+            "sign * (x - y), sign * (x + y)",
+        ),
+    ),
+    *_of(
+        "sim/autopilot/px4.py",
+        "tests/sim/autopilot/test_px4.py",
+        ("autopilot: motors are in our order", "_OURS = (2, 1, 3, 0)", "_OURS = (0, 1, 2, 3)"),
+        (
+            "autopilot: a rotor's thrust goes with its control",
+            "0.0, 1.0) ** 2",
+            "0.0, 1.0)",
+        ),
+    ),
+    *_of(
+        "deploy/pairing/replay.py",
+        "tests/deploy/pairing/test_replay.py",
+        ("replay: another struck flag is the same", "& struck == 0", "& struck >= 0"),
+    ),
+    *_of(
         "deploy/recording/visualization.py",
         "tests/deploy/recording/test_visualization.py",
         (
