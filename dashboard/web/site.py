@@ -23,8 +23,11 @@ PAGES = (home, new, campaign, run, live, compare, studies, system)
 NOT_PAGES = ("/api/", "/health", "/ready", "/metrics")
 """What the API answers itself, also that there is no such path."""
 
-RECONNECT_S = 5.0
-"""What the server keeps a page's state for, while its browser is away."""
+RECONNECT_S = 20.0
+"""What the server keeps a page's state for, while its browser is away.
+
+A browser that draws for some seconds on a busy machine answers as late: its page is kept, not loaded anew.
+"""
 
 POLICY = (
     "default-src 'self' 'unsafe-inline' 'unsafe-eval' data: blob:; "
