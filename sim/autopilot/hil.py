@@ -1,4 +1,4 @@
-"""What an autopilot is told of the vehicle: sensors and state as fields of MAVLink's HIL messages.
+"""What an autopilot is told of the vehicle, as fields of MAVLink's HIL messages, and what it has rotors do.
 
 MAVLink's world frame is north, east, down, its body frame forward, right, down; ours are east, north, up and
 forward, left, up.
@@ -6,6 +6,7 @@ forward, left, up.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import cos, degrees, radians
 from typing import NamedTuple
 
@@ -22,6 +23,9 @@ Values = dict[str, float | tuple[float, ...]]
 
 HOME = (47.397742, 8.545594, 488.0)
 """Latitude and longitude in degrees, height in m: where PX4's own simulators begin."""
+
+_OURS = (2, 1, 3, 0)
+"""PX4's motors (front right, rear left, front left, rear right) in the order of ``ROTORS``."""
 
 _EARTH_M = 6_371_000.0
 _FIELD_GAUSS = np.array([0.0080, 0.2148, -0.4282])
@@ -137,6 +141,16 @@ def truth(state: HilState) -> Values:
         "vz": down,
         **{f"{axis}acc": min(max(part, -32768), 32767) for axis, part in zip("xyz", forces, strict=True)},
     }
+
+
+def relative_thrusts(controls: Sequence[float]) -> Floats:
+    """The thrust of each rotor, (4,) in the order of ``ROTORS``, as a part of what it can give.
+
+    ``controls`` are those of HIL_ACTUATOR_CONTROLS, 0 to 1; NaN is a motor that is off. A rotor's speed is
+    proportional to its control, its thrust to the square of that.
+    """
+    ours = np.array([controls[motor] for motor in _OURS])
+    return np.asarray(np.clip(np.nan_to_num(ours, nan=0.0), 0.0, 1.0) ** 2)
 
 
 def _place(position: Floats) -> Values:

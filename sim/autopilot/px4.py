@@ -52,8 +52,6 @@ _VELOCITY_AND_YAW_RATE = 0b0101_1100_0111
 _LOCAL_NED = 1
 _DO_SET_MODE, _ARM, _CUSTOM_MODE, _OFFBOARD = 176, 400, 1, 6
 _ONBOARD_CONTROLLER, _NO_AUTOPILOT, _ACTIVE = 18, 8, 4
-_OURS = (2, 1, 3, 0)
-"""PX4's motors (front right, rear left, front left, rear right) in the order of ``ROTORS``."""
 
 
 class AutopilotError(Exception):
@@ -131,9 +129,7 @@ class Px4Autopilot:
         :raises AutopilotError: if the program does not answer.
         """
         self._tell(pose, twist)
-        controls = np.array(self._answer())[list(_OURS)]
-        # A rotor's speed is proportional to its control, its thrust to the square of that; NaN is off.
-        thrust[:] = self._max_thrust_n * np.clip(np.nan_to_num(controls, nan=0.0), 0.0, 1.0) ** 2
+        thrust[:] = self._max_thrust_n * hil.relative_thrusts(self._answer())
 
     def close(self) -> None:
         """End the program and free its ports."""

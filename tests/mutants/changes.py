@@ -943,8 +943,8 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
-        "sim/autopilot/px4.py",
-        "tests/sim/autopilot/test_px4.py",
+        "sim/autopilot/hil.py",
+        "tests/sim/autopilot/test_hil.py",
         ("autopilot: motors are in our order", "_OURS = (2, 1, 3, 0)", "_OURS = (0, 1, 2, 3)"),
         (
             "autopilot: a rotor's thrust goes with its control",

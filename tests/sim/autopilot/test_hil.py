@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, pi, sin
+from math import cos, nan, pi, sin
 
 import numpy as np
 import pytest
@@ -10,7 +10,17 @@ from scipy.spatial.transform import Rotation
 
 from services.bus.arrays import turned
 from services.models.equipment import Imu
-from sim.autopilot.hil import HilSensors, HilState, gps, specific_force, to_frd, to_ned, to_ned_frd, truth
+from sim.autopilot.hil import (
+    HilSensors,
+    HilState,
+    gps,
+    relative_thrusts,
+    specific_force,
+    to_frd,
+    to_ned,
+    to_ned_frd,
+    truth,
+)
 
 NOISELESS = Imu(gyro_noise_rad_s=0, accel_noise_m_s2=0)
 SOUTH_EAST = np.array([3.0, -4.0, 1.0])
@@ -60,3 +70,9 @@ def test_readings_repeat_with_the_seed() -> None:
     first, again, other = (HilSensors(Imu(), seed) for seed in (1, 1, 2))
     assert first.sensor(at) == again.sensor(at) != other.sensor(at)
     assert first.sensor(at) != first.sensor(at)
+
+
+def test_a_rotors_thrust_goes_with_the_square_of_its_motors_control() -> None:
+    front_right, rear_left, front_left, rear_right = 0.1, 0.5, nan, 2.0
+    thrusts = relative_thrusts((front_right, rear_left, front_left, rear_right, *[0.9] * 12))
+    assert thrusts == pytest.approx([0.0, 0.25, 1.0, 0.01])  # front left, rear left, rear right, front right
