@@ -1,14 +1,17 @@
 """The ``zenfi`` command and its table of commands, each loaded only when it is asked for.
 
 With ``--json``, standard output carries one JSON object per line and nothing else; messages go to
-standard error. Exit status: 0 done, 1 we failed, 2 bad input (one clear line), 130 interrupted.
+standard error. Exit status: 0 done, 1 we failed, 2 bad input (one clear line), 130 interrupted (by Ctrl-C or
+SIGTERM: what is under way is ended in order).
 """
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from types import FrameType
 from typing import NamedTuple
 
 import click
@@ -81,6 +84,7 @@ def zenfi() -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point of the ``zenfi`` command, with what was typed or with ``arguments``."""
+    signal.signal(signal.SIGTERM, _interrupt)
     try:
         zenfi.main(arguments, standalone_mode=False)
     except click.ClickException as error:
@@ -93,6 +97,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if status is None:
             raise
         _give_up(text, status)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
 
 
 def _give_up(text: str, status: int) -> None:

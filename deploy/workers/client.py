@@ -6,8 +6,11 @@ import contextlib
 import select
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
+from deploy.config.workdir import sweep
 from deploy.workers.protocol import ALIVE
 from services.system.json_lines import LineReader
 
@@ -94,7 +97,8 @@ class WorkerClient:
                     return
 
     def end(self) -> None:
-        """Kill the worker; its fork server and nodes end with it."""
+        """Kill the worker; its fork server and nodes end with it, and the folder of its flight is removed."""
         self._process.kill()
         with contextlib.suppress(BrokenPipeError):
             self._process.communicate()
+        sweep(Path(tempfile.gettempdir()))

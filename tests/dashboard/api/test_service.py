@@ -17,7 +17,7 @@ from dashboard.client import Client, RequestRefusedError
 from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
-from tests.conftest import alive, descendants, wait_until
+from tests.conftest import alive, descendants, folders, wait_until
 from tests.dashboard.api.conftest import PATIENCE_S, Serving, serving
 from tests.dashboard.campaigns.test_durability import done, told
 from tests.fixtures.postgresql import PASSWORD, Server
@@ -115,6 +115,7 @@ def test_told_to_end_it_keeps_what_is_finished_and_ends_its_streams(tmp_path: Pa
         said, _ = stream.communicate(timeout=PATIENCE_S)
     assert b"event: run" in said
     wait_until(lambda: not any(map(alive, family)))
+    assert not any(folders(pid) for pid in family)
     with closing(Store(tmp_path)) as store:
         found = store.find("short-1")
         assert (found.phase, found.reason) == ("paused", "the service stopped")
