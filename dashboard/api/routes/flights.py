@@ -118,7 +118,9 @@ def _flight(service: Service, campaign: CampaignEntry) -> FlightInfo:
     if not is_flight(campaign.spec):
         message = f"{campaign.label} is a campaign of many flights"
         raise NotFoundError(message)
+    # Before its run, which is then at least as new: of a flight that has ended the result is there.
+    state = line(service.store, service.store.find(campaign.label))
     (run,) = run_page(service.store, campaign, RunQuery()).runs
     told = [event for event in service.event_bus.newest(campaign.label) if event.kind == "flight"]
     now = FlightStatus.model_validate(json.loads(told[-1].data)["present"]) if told else None
-    return FlightInfo(campaign=line(service.store, service.store.find(campaign.label)), run=run, present=now)
+    return FlightInfo(campaign=state, run=run, present=now)

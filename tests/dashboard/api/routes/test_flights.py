@@ -1,18 +1,43 @@
 """A single flight, a fault by hand while it flies, and both flown again."""
 
+from typing import Any
+
 import pytest
 
+from dashboard.api.routes import flights
 from dashboard.api.routes.flights import FlightInfo
+from dashboard.campaigns.store.store import Store
 from dashboard.client import Client, RequestRefusedError
 from deploy.pairing.replay import Replay
 from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
+from tests.dashboard.api.asking import ask, make
+from tests.dashboard.campaigns.store.test_store import flown
 
 MISSION = MissionSpec(limits=Limits(mission_time_s=6))
 LONG = MissionSpec(mission="scanning", limits=Limits(mission_time_s=16))
 """Under way for seconds on its watch: virtual seconds go by ten times as fast."""
 
 LASTING = FaultSpec(level="source", target="command.vx", recurrence="permanent", bit_numbers=(62,))
+
+
+def test_a_flight_that_ends_while_it_is_read_has_not_ended_without_its_result(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    app = make(store)
+    label = ask(app, "/api/v1/flights", "POST", json={"mission": {}}).json()["campaign"]["campaign"]
+    read = flights.run_page
+
+    def end_once_read(*of: Any) -> Any:
+        found = read(*of)
+        flown(store, store.find(label), 1)
+        return found
+
+    with monkeypatch.context() as patched:
+        patched.setattr(flights, "run_page", end_once_read)
+        told = ask(app, f"/api/v1/flights/{label}").json()
+    assert told["campaign"]["phase"] != "done" or told["run"]["result"] is not None
+    assert ask(app, f"/api/v1/flights/{label}").json()["campaign"]["phase"] == "done"
 
 
 @pytest.mark.soak
