@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterable, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 from deploy.config.platform import check_latency, latencies
@@ -86,6 +87,20 @@ def _check_stack(stack: OwnStack, spec: MissionSpec) -> None:
         if digest_of(own.command, Path(own.folder)) != own.sha256:
             message = f"stack: {replaced}: {own.command[0]} is not what it was when it was specified"
             raise BadSpecError(message)
+        if (option := _randomising(own.command)) is not None:
+            message = (
+                f"stack: {replaced}: with {option}, Python hashes strings by a random number, so no flight "
+                "would repeat: leave it out"
+            )
+            raise BadSpecError(message)
+
+
+def _randomising(command: Sequence[str]) -> str | None:
+    """The option in a command of Python's by which it ignores the environment, PYTHONHASHSEED too."""
+    if not Path(command[0]).name.startswith("python"):
+        return None
+    options = takewhile(lambda word: word.startswith("-") and word[:2] not in ("-c", "-m"), command[1:])
+    return next((word for word in options if word[1:2] not in "WX" and set(word) & set("IE")), None)
 
 
 def digest_of(command: Sequence[str], folder: Path) -> str:

@@ -85,7 +85,10 @@ def test_python_code_is_struck(tmp_path: Path, pairs: PairFlyer) -> None:
     assert record is not None
     assert (record.status, record.precision, record.node) == ("injected", "exact", "control")
     assert "python" in record.module
-    assert struck(pairs, stack, 4).digest == outcome.digest
+    again = struck(pairs, stack, 4)
+    assert again.digest == outcome.digest
+    assert again.injection is not None
+    assert (again.injection.offset, again.injection.before) == (record.offset, record.before)
 
 
 def test_a_struck_flight_replays_from_what_its_outcome_says(stack: OwnStack, pairs: PairFlyer) -> None:
@@ -186,6 +189,13 @@ def test_a_program_that_was_built_anew_is_refused(tmp_path: Path) -> None:
     with (tmp_path / "pursuit").open("ab") as file:
         file.write(b"more")
     with pytest.raises(BadSpecError, match="is not what it was"):
+        check(mission(stack))
+
+
+@pytest.mark.parametrize("options", [["-I"], ["-u", "-sE"]])
+def test_python_that_hashes_at_random_is_refused(options: list[str], tmp_path: Path) -> None:
+    stack = scripted(tmp_path, "", options=options)
+    with pytest.raises(BadSpecError, match=f"with {options[-1]}, Python hashes strings by a random number"):
         check(mission(stack))
 
 

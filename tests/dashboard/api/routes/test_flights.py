@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from dashboard.api.routes import flights
 from dashboard.api.routes.flights import FlightInfo
+from dashboard.campaigns.store.listing import run_page
 from dashboard.campaigns.store.store import Store
 from dashboard.client import Client, RequestRefusedError
 from deploy.pairing.replay import Replay
@@ -26,15 +26,14 @@ def test_a_flight_that_ends_while_it_is_read_has_not_ended_without_its_result(
 ) -> None:
     app = make(store)
     label = ask(app, "/api/v1/flights", "POST", json={"mission": {}}).json()["campaign"]["campaign"]
-    read = flights.run_page
 
     def end_once_read(*of: Any) -> Any:
-        found = read(*of)
+        found = run_page(*of)
         flown(store, store.find(label), 1)
         return found
 
     with monkeypatch.context() as patched:
-        patched.setattr(flights, "run_page", end_once_read)
+        patched.setattr("dashboard.api.routes.flights.run_page", end_once_read)
         told = ask(app, f"/api/v1/flights/{label}").json()
     assert told["campaign"]["phase"] != "done" or told["run"]["result"] is not None
     assert ask(app, f"/api/v1/flights/{label}").json()["campaign"]["phase"] == "done"
