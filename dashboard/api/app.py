@@ -12,6 +12,7 @@ from fastapi import APIRouter, FastAPI
 from prometheus_client import CollectorRegistry
 
 from dashboard.api import problems
+from dashboard.api.peers import peer_uid
 from dashboard.api.problems import documented
 from dashboard.api.routes import (
     campaigns,
@@ -24,7 +25,7 @@ from dashboard.api.routes import (
     runs,
     streaming,
 )
-from dashboard.api.security import AccessGuard, BodyLimit
+from dashboard.api.security import AccessGuard, BodyLimit, UserOf
 from dashboard.api.service import Service
 
 MOST_BODY_BYTES = 2_000_000
@@ -33,11 +34,12 @@ MOST_BODY_BYTES = 2_000_000
 EVERYWHERE = documented(400, 401, 403, 500, 503)
 
 
-def make_app(service: Service, token: str = "", *, loopback: bool = True) -> FastAPI:
+def make_app(
+    service: Service, token: str = "", *, loopback: bool = True, user_of: UserOf = peer_uid
+) -> FastAPI:
     """The service as an ASGI application.
 
-    ``token`` is the hash of what requests must bear, empty if nothing; ``loopback``: see
-    :class:`AccessGuard`.
+    ``token`` is the hash of what requests must bear; ``loopback`` and ``user_of``: see :class:`AccessGuard`.
     """
 
     @asynccontextmanager
@@ -65,7 +67,7 @@ def make_app(service: Service, token: str = "", *, loopback: bool = True) -> Fas
     app.state.metrics = CollectorRegistry()
     app.state.metrics.register(metrics.ServiceMetrics(service))
     app.add_middleware(BodyLimit, most=MOST_BODY_BYTES)
-    app.add_middleware(AccessGuard, token=token, loopback=loopback)
+    app.add_middleware(AccessGuard, token=token, loopback=loopback, user_of=user_of)
     app.add_middleware(metrics.Observed, registry=app.state.metrics)
     return app
 

@@ -1,4 +1,4 @@
-"""Who may ask: loopback by default, elsewhere who has the token; never a page of another origin."""
+"""Who may ask: on loopback the user who serves, else who has the token; never a page of another origin."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import hmac
 import ipaddress
 import os
 import secrets
+from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -16,6 +17,7 @@ from starlette.requests import HTTPConnection
 from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from dashboard.api.peers import Endpoint, peer_uid
 from dashboard.api.problems import answer
 from deploy.errors import BadSpecError
 
@@ -59,6 +61,10 @@ def token_hash(folder: Path) -> str:
     return text
 
 
+UserOf = Callable[[Endpoint, Endpoint], int | None]
+"""The user whose socket is at the first endpoint, connected to the second; None if that cannot be told."""
+
+
 def is_loopback(host: str) -> bool:
     """Whether only programs on this machine can reach an address."""
     try:
@@ -79,14 +85,15 @@ def _hash(token: str) -> str:
 class AccessGuard:
     """Lets a request in, or answers it with 401 or 403.
 
-    On loopback the Host must be a name of this machine: else a page whose name was bound to 127.0.0.1 after
-    it was loaded could speak with us (DNS rebinding). With a ``token`` hash, requests must bear that token.
-    What comes from a page (Origin) must come from one of ours. A browser that has no token is led to where
-    it can be given.
+    Requests must bear the token of that hash (none does if it is empty). On ``loopback`` those of our own
+    user need none: ``user_of`` tells whose a connection is. There the Host must be a name of this machine,
+    too: else a page whose name was bound to 127.0.0.1 after it was loaded could speak with us (DNS
+    rebinding). What comes from a page (Origin) must come from one of ours. A browser that has no token is
+    led to where it can be given.
     """
 
-    def __init__(self, app: ASGIApp, token: str, *, loopback: bool) -> None:
-        self._app, self._token, self._loopback = app, token, loopback
+    def __init__(self, app: ASGIApp, token: str, *, loopback: bool, user_of: UserOf = peer_uid) -> None:
+        self._app, self._token, self._loopback, self._user_of = app, token, loopback, user_of
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or refuse it."""
@@ -109,13 +116,23 @@ class AccessGuard:
             return 403, f"Host {host!r} is no name of this machine: use 127.0.0.1 or localhost"
         if origin is not None and urlsplit(origin).netloc != host:
             return 403, f"Origin {origin!r} is not this service"
-        if self._token and scope["path"] not in OPEN:
-            scheme, _, token = headers.get("authorization", "").partition(" ")
-            if scheme.lower() != "bearer":
-                token = HTTPConnection(scope).cookies.get(COOKIE, "")
-            if not bears(token.strip(), self._token):
-                return 401, "needs the header Authorization: Bearer TOKEN; make one with zenfi token new"
-        return None
+        if scope["path"] in OPEN or self._bears_token(scope, headers) or self._is_our_user(scope):
+            return None
+        others = "the service belongs to another user of this machine, so this " if self._loopback else ""
+        return (
+            401,
+            f"{others}needs the header Authorization: Bearer TOKEN; its owner makes one: zenfi token new",
+        )
+
+    def _bears_token(self, scope: Scope, headers: Headers) -> bool:
+        scheme, _, token = headers.get("authorization", "").partition(" ")
+        if scheme.lower() != "bearer":
+            token = HTTPConnection(scope).cookies.get(COOKIE, "")
+        return bears(token.strip(), self._token)
+
+    def _is_our_user(self, scope: Scope) -> bool:
+        """Asked for each request: a connection's port may be another user's a moment later."""
+        return self._loopback and self._user_of(tuple(scope["client"]), tuple(scope["server"])) == os.getuid()
 
 
 class BodyLimit:

@@ -53,7 +53,7 @@ def foxglove(port: int, store: str) -> None:
 
 @click.group()
 def token() -> None:
-    """The token that requests must bear where the service listens beyond this machine."""
+    """The token that requests must bear beyond this machine, and of its other users."""
 
 
 @token.command()

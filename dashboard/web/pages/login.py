@@ -19,8 +19,8 @@ main {{ max-width: 26rem; margin: 12vh auto; padding: 0 1rem }}
 input, button {{ font: inherit; padding: .6rem; width: 100%; box-sizing: border-box; margin-top: .8rem }}
 </style></head><body><main>
 <h1>ZenFI</h1>
-<p>This service listens beyond its machine, so it needs its token. <code>zenfi token new</code>, on the
-machine that serves, makes one; a new one counts from the service's next start.</p>
+<p>This service listens beyond its machine, or another user of this machine runs it, so it needs its token.
+Who runs it makes one with <code>zenfi token new</code>; a new one counts from the service's next start.</p>
 <p role="alert"><strong>{said}</strong></p>
 <form method="post" action="/login">
 <label for="token">Token</label>

@@ -1,6 +1,7 @@
 """A service that flies nothing, asked in this process."""
 
 import asyncio
+import os
 from typing import Any
 
 import httpx
@@ -16,11 +17,12 @@ HERE = "http://localhost:8300"
 CAMPAIGNS = "/api/v1/campaigns"
 
 
-def make(store: Store, token: str = "", *, loopback: bool = True) -> FastAPI:
-    """Campaigns wait; streams end when they have told what there is."""
+def make(store: Store, token: str = "", *, loopback: bool = True, uid: int | None = os.getuid()) -> FastAPI:
+    """Campaigns wait; streams end when they have told what there is. Who asks is the user ``uid``."""
     event_bus = EventBus()
     event_bus.close()
-    return make_app(Service(store, event_bus, CampaignRunner(store, event_bus, 1)), token, loopback=loopback)
+    service = Service(store, event_bus, CampaignRunner(store, event_bus, 1))
+    return make_app(service, token, loopback=loopback, user_of=lambda _peer, _ours: uid)
 
 
 def ask(app: FastAPI, path: str, method: str = "GET", base: str = HERE, **request: Any) -> httpx.Response:

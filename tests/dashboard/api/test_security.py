@@ -1,6 +1,7 @@
 """Who is let in: this machine alone, elsewhere who bears the token; no page of another origin."""
 
 import asyncio
+import os
 import stat
 from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import closing
@@ -40,6 +41,8 @@ def open_websocket(
         "query_string": b"",
         "headers": headers,
         "scheme": "ws",
+        "client": ("127.0.0.1", 40_000),
+        "server": ("127.0.0.1", 8300),
     }
 
     async def receive() -> Message:
@@ -70,6 +73,27 @@ def test_a_page_of_another_origin_is_refused(store: Store) -> None:
         assert [message["type"] for message in open_websocket(app, origin)] == ["websocket.close"]
     accepted, ended = open_websocket(app, HERE)
     assert (accepted["type"], ended["code"]) == ("websocket.accept", 1001)
+
+
+@pytest.mark.parametrize("uid", [os.getuid() + 1, None])
+def test_on_loopback_other_users_must_bear_the_token(store: Store, uid: int | None) -> None:
+    app = make(store, uid=uid)
+    for path, method in ((CAMPAIGNS, "GET"), (CAMPAIGNS, "POST"), ("/metrics", "GET"), ("/", "GET")):
+        answer = ask(app, path, method, json={"preset": "demo"})
+        assert answer.status_code == 401
+        assert "another user" in answer.json()["detail"]
+    assert [one["type"] for one in open_websocket(app, HERE)] == ["websocket.close"]
+    assert ask(app, "/health").status_code == 200
+    token = new_token(store.folder)
+    app = make(store, token_hash(store.folder), uid=uid)
+    assert ask(app, CAMPAIGNS, headers={"Authorization": f"Bearer {token}"}).json()["campaigns"] == []
+    assert ask(app, CAMPAIGNS, headers={"Authorization": f"Bearer {token}x"}).status_code == 401
+
+
+def test_without_a_token_an_empty_one_lets_nobody_in(store: Store) -> None:
+    app = make(store, uid=None)
+    for headers in ({"Authorization": "Bearer "}, {"Cookie": "zenfi_token="}):
+        assert ask(app, CAMPAIGNS, headers=headers).status_code == 401
 
 
 def test_beyond_this_machine_requests_must_bear_the_token(store: Store) -> None:
@@ -153,5 +177,6 @@ def test_a_body_that_says_that_it_is_too_large_is_not_read(store: Store) -> None
         (b"content-type", b"application/json"),
     ]
     scope = {"type": "http", "method": "POST", "path": CAMPAIGNS, "query_string": b"", "headers": headers}
-    asyncio.run(app({**scope, "scheme": "http", "http_version": "1.1"}, receive, send))
+    scope |= {"scheme": "http", "http_version": "1.1", "client": ("::1", 40_000), "server": ("::1", 8300)}
+    asyncio.run(app(scope, receive, send))
     assert sent[0]["status"] == 413
