@@ -46,6 +46,7 @@ COMMANDS = {
     "ros2": LazyCommand("ros2", "ROS 2 over Zenoh (rmw_zenoh)."),
     "serve": LazyCommand("service", "Serve dashboard and REST API, and fly what is asked for."),
     "stop": LazyCommand("stack", "Stop processes of a stack."),
+    "store": LazyCommand("campaign", "The place where campaigns are: backup, restore, check."),
     "token": LazyCommand("service", "The token that requests to the service must bear."),
     "train": LazyCommand("train", "Train and evaluate anomaly detectors."),
     "up": LazyCommand("stack", "Start a stack's processes and supervise them."),

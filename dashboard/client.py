@@ -56,6 +56,11 @@ FLIGHT_S = 600.0
 PAUSE_S = 1.0
 """Wait before a broken stream is opened again."""
 
+ATTEMPTS = 30
+"""How often a request is sent while the service says that it has too many."""
+
+TOO_MANY = 429
+
 Told = CampaignLine | RunEvent | FlightEvent | ProcessEvent | LostEvent
 _TOLD: dict[str, type[Strict]] = {
     "campaign": CampaignLine,
@@ -100,11 +105,16 @@ class ServiceConnection:
         return model.model_validate_json(self.response(method, path, **request).content)
 
     def response(self, method: str, path: str, **request: Any) -> httpx.Response:
-        """Send a request and return its answer.
+        """Send a request and return its answer; sent again for some time while the service takes no more.
 
         :raises RequestRefusedError: if the service answers with an error.
         """
         response = self._http.request(method, path, **request)
+        for _ in range(ATTEMPTS - 1):
+            if response.status_code != TOO_MANY:
+                break
+            time.sleep(float(response.headers.get("retry-after", PAUSE_S)))
+            response = self._http.request(method, path, **request)
         if response.is_error:
             raise _refused(response)
         return response

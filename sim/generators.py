@@ -103,12 +103,17 @@ def _given(stated: float | None, otherwise: float) -> float:
     return otherwise if stated is None else stated
 
 
+def forest_stems(wanted: ForestWorld) -> int:
+    """How many trees are wanted in the area; fewer are found where they do not fit."""
+    width, depth = (wanted.upper[axis] - wanted.lower[axis] for axis in (0, 1))
+    return round(forest_figures(wanted).stems_per_ha * width * depth / 1e4)
+
+
 def scatter_forest(wanted: ForestWorld, rng: np.random.Generator) -> Scattered:
     """Trees by dart throwing (Poisson-disk sampling): a trunk each, and level branches along x or y."""
     figures = forest_figures(wanted)
     low, high = np.array(wanted.lower), np.array(wanted.upper)
-    area = float(np.prod((high - low)[:2]))
-    count = round(figures.stems_per_ha * area / 1e4)
+    count = forest_stems(wanted)
     stems = _apart(rng.uniform(low[:2], high[:2], (count * TRIES, 2)), figures.gap_m, count)
     half = figures.trunk_m / 2
     ground = np.full((len(stems), 1), low[2])

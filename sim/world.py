@@ -5,6 +5,7 @@ World frame: x east, y north, z up, metres.
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ from services.models.safety import BODY_RADIUS_M
 from services.models.world import (
     DRAWN_TOP_M,
     MOST_BOXES,
+    MOST_CANDIDATES,
     BoxWorld,
     ClusteredWorld,
     ForestWorld,
@@ -35,7 +37,7 @@ from services.models.world import (
 )
 from services.runtime.rng import generator
 from services.system import plug_ins
-from sim.generators import Scattered, scatter_forest, scatter_gates, scatter_traffic
+from sim.generators import TRIES, Scattered, forest_stems, scatter_forest, scatter_gates, scatter_traffic
 from sim.moving import NONE_MOVING, rows_of, swept
 
 Floats = NDArray[np.float64]
@@ -45,6 +47,9 @@ KEEP_OUT_M = 3.0
 
 ATTEMPTS = 1000
 """Draws after which a world that leaves the straight way free is given up."""
+
+CONSIDERED = 2_000_000
+"""Places for obstacles, of all draws together, after which such a world is given up as well."""
 
 DrawnWorld = GridWorld | ClusteredWorld | ForestWorld | GatesWorld | TrafficWorld | GeneratedWorld
 
@@ -183,7 +188,8 @@ def _drawn(wanted: DrawnWorld, seed: int, start: Floats, goal: Floats) -> Scatte
         message = f"world {wanted.name}: density 0: a world without obstacles"
         raise BadWorldError(message)
     scatter = GENERATORS[wanted.kind]
-    for attempt in range(ATTEMPTS):
+    attempts = min(ATTEMPTS, CONSIDERED // _candidates(wanted))
+    for attempt in range(attempts):
         drawn = scatter(wanted, generator(seed, f"world {wanted.name}", attempt))
         near = _near_the_ends(drawn.fixed, start, goal)
         fixed = np.ascontiguousarray(drawn.fixed[~near])
@@ -191,8 +197,31 @@ def _drawn(wanted: DrawnWorld, seed: int, start: Floats, goal: Floats) -> Scatte
         if meets(np.vstack([fixed, swept(moving)]), start, goal, BODY_RADIUS_M).any():
             return Scattered(fixed, moving)
     what = ", ".join(f"{name} {value:g}" for name, value in wanted if name in _STATED and value is not None)
-    message = f"world {wanted.name}: {what}: none of {ATTEMPTS} draws puts an obstacle in the straight way"
+    message = f"world {wanted.name}: {what}: none of {attempts} draws puts an obstacle in the straight way"
     raise BadWorldError(message)
+
+
+def _candidates(wanted: DrawnWorld) -> int:
+    """How many places for obstacles a draw considers.
+
+    :raises BadWorldError: if it is more than can be drawn in reasonable time and memory.
+    """
+    match wanted:
+        case GridWorld():
+            count = math.prod(_cells(wanted, wanted.cell_m))
+        case ClusteredWorld():
+            count = math.prod(_cells(wanted, wanted.obstacle_m + wanted.gap_m)) * len(wanted.centroids)
+        case ForestWorld():
+            count = forest_stems(wanted) * TRIES
+        case _:
+            count = 1
+    if count > MOST_CANDIDATES:
+        message = (
+            f"world {wanted.name}: {count} places for obstacles, at most {MOST_CANDIDATES} are allowed: "
+            "make the area smaller, or obstacles larger or fewer"
+        )
+        raise BadWorldError(message)
+    return max(count, 1)
 
 
 def _near_the_ends(boxes: Floats, start: Floats, goal: Floats) -> NDArray[np.bool_]:

@@ -14,6 +14,7 @@ from prometheus_client import CollectorRegistry
 from dashboard.api import problems
 from dashboard.api.peers import peer_uid
 from dashboard.api.problems import documented
+from dashboard.api.request_limit import RequestLimit
 from dashboard.api.routes import (
     campaigns,
     catalogue,
@@ -31,7 +32,7 @@ from dashboard.api.service import Service
 MOST_BODY_BYTES = 2_000_000
 """A campaign with worlds of its own takes some 100 kB."""
 
-EVERYWHERE = documented(400, 401, 403, 500, 503)
+EVERYWHERE = documented(400, 401, 403, 429, 500, 503)
 
 
 def make_app(
@@ -67,6 +68,7 @@ def make_app(
     app.state.metrics = CollectorRegistry()
     app.state.metrics.register(metrics.ServiceMetrics(service))
     app.add_middleware(BodyLimit, most=MOST_BODY_BYTES)
+    app.add_middleware(RequestLimit)
     app.add_middleware(AccessGuard, token=token, loopback=loopback, user_of=user_of)
     app.add_middleware(metrics.Observed, registry=app.state.metrics)
     return app

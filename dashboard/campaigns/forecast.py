@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from dashboard.campaigns.spec import CampaignSpec, cells, runs
+from dashboard.campaigns.spec import CampaignSpec, cells, counted
 from dashboard.campaigns.statistics.sampling import resolvable_drop
 from dashboard.campaigns.store.store import Store
 from services.models.base import Strict
@@ -36,19 +36,17 @@ class Forecast(Strict):
 
 def forecast(spec: CampaignSpec, store: Store, slots: int) -> Forecast:
     """Reckon a campaign, with what the store knows of earlier flights."""
-    planned = list(runs(spec))
-    golden = {run.spec.model_dump_json() for run in planned if run.spec.fault is None}
-    twins = {run.twin.model_dump_json() for run in planned if run.spec.fault is not None}
-    flights = len(planned) + len(twins - golden)
-    measured = store.wall_s(sorted({run.spec.world_name for run in planned}))
+    planned, twins = counted(spec)
+    flights = planned + twins
+    measured = store.wall_s(sorted({cell.world for cell in cells(spec)}))
     size = store.outcome_size() or OUTCOME_BYTES
     drop = resolvable_drop(spec.runs, SUCCESS)
     return Forecast(
         cells=len(cells(spec)),
-        runs=len(planned),
-        twins=len(twins - golden),
+        runs=planned,
+        twins=twins,
         hours=flights * (measured or FLIGHT_S) / slots / 3600,
-        disk_mb=round(len(planned) * size * 1.5 / 1e6, 3),
+        disk_mb=round(planned * size * 1.5 / 1e6, 3),
         per_cell=spec.runs,
         resolvable_drop=drop,
         measured=measured is not None,

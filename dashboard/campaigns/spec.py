@@ -240,6 +240,21 @@ def runs(campaign: CampaignSpec) -> Iterator[Run]:
             yield Run(arm.name, index, spec, condition.name if campaign.faults else "")
 
 
+def counted(campaign: CampaignSpec) -> tuple[int, int]:
+    """How many runs a campaign has, and how many golden twins that are no runs of their own.
+
+    As :func:`runs` plans them, but of cells: what differs between runs of a cell are seeds.
+    """
+    seeds = campaign.seeds or campaign.runs
+    planned = 0
+    golden, struck = set[str](), set[str]()
+    for _, condition, mission in _flown(campaign):
+        (golden if condition.fault is None else struck).add(mission.model_dump_json())
+        repeats = condition.fault is None and mission.clock == "lockstep"
+        planned += seeds if repeats else campaign.runs
+    return planned, len(struck - golden) * seeds
+
+
 def load_campaign(name: str) -> CampaignSpec:
     """The campaign in a TOML or JSON file, or the preset of that name.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import sys
 from collections.abc import Callable
@@ -248,6 +249,51 @@ def compare_(
             click.echo(one.model_dump_json())
     else:
         Console().print(tables.comparison(found.label, compared))
+
+
+@click.group()
+def store() -> None:
+    """The place where campaigns are: copied, put back, checked; also while campaigns fly."""
+
+
+_folder = click.Path(file_okay=False, path_type=Path)
+
+
+@store.command()
+@click.argument("folder", type=_folder)
+@in_store
+def backup(folder: Path, store: str) -> None:
+    """Copy the store into the new FOLDER, which is then a store by itself."""
+    from dashboard.campaigns.store.backup import back_up  # noqa: PLC0415
+
+    with contextlib.closing(Store(store)) as opened:
+        back_up(opened, folder)
+
+
+@store.command()
+@click.argument("folder", type=_folder)
+@in_store
+def restore(folder: Path, store: str) -> None:
+    """Make a store of the copy in FOLDER, where there is none yet: to replace one, move it away first."""
+    from dashboard.campaigns.store.backup import restore as put_back  # noqa: PLC0415
+
+    put_back(folder, Path(store))
+
+
+@store.command("check")
+@in_store
+@as_json
+def check_(store: str, as_json: bool) -> None:
+    """Read all that the store holds; exit status 1 if something of it is damaged or missing."""
+    from dashboard.campaigns.store.backup import MOST_PROBLEMS, problems  # noqa: PLC0415
+
+    with contextlib.closing(Store(store)) as opened:
+        found = list(itertools.islice(problems(opened), MOST_PROBLEMS))
+        for problem in found:
+            click.echo(json.dumps({"problem": problem}) if as_json else problem)
+        if not found:
+            messages.print(f"{opened.place}: {len(opened.campaigns())} campaigns, sound", highlight=False)
+    sys.exit(1 if found else 0)
 
 
 @click.command()

@@ -11,7 +11,10 @@ from pydantic import Field, JsonValue
 
 from services.models.base import Strict
 
-Point = tuple[float, float, float]
+Coordinate = Annotated[float, Field(ge=-100_000, le=100_000)]
+"""Metres along one axis of the world."""
+
+Point = tuple[Coordinate, Coordinate, Coordinate]
 Box = tuple[float, float, float, float, float, float]
 
 DRAWN_TOP_M = 20.0
@@ -20,6 +23,9 @@ DRAWN_TOP_M = 20.0
 
 MOST_BOXES = 100_000
 """Boxes of a world at most."""
+
+MOST_CANDIDATES = 100_000
+"""Places for obstacles that one draw of a world considers, at most."""
 
 
 class Surroundings(Strict):
@@ -46,8 +52,8 @@ class GridWorld(Surroundings):
 
     kind: Literal["grid"]
     density: float = Field(ge=0, le=1)
-    obstacle_m: float = Field(gt=0, le=1000)
-    cell_m: float = Field(default=10.0, gt=0, le=1000)
+    obstacle_m: float = Field(ge=0.01, le=1000)
+    cell_m: float = Field(default=10.0, ge=0.01, le=1000)
 
 
 class ClusteredWorld(Surroundings):
@@ -61,7 +67,7 @@ class ClusteredWorld(Surroundings):
     centroids: tuple[tuple[float, float], ...] = Field(min_length=1, max_length=100)
     spread_m: float = Field(gt=0, le=1000)
     density: float = Field(ge=0, le=1)
-    obstacle_m: float = Field(gt=0, le=1000)
+    obstacle_m: float = Field(ge=0.01, le=1000)
     gap_m: float = Field(ge=0, le=1000)
 
 

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from services.models.safety import BODY_RADIUS_M
-from services.models.world import BoxWorld
+from services.models.world import BoxWorld, WorldDefinition
 from sim.moving import swept
 from sim.world import (
     DEFINITION,
@@ -174,3 +174,28 @@ def test_a_density_that_is_no_probability_is_refused(density: float) -> None:
 def test_a_world_made_by_hand_is_the_same_for_every_seed() -> None:
     assert isinstance(definition("factory"), BoxWorld)
     assert content(make_world("factory", 1)) == content(make_world("factory", 2))
+
+
+def wide(**fields: object) -> WorldDefinition:
+    return DEFINITION.validate_python(
+        {"name": "w", "lower": (-200, -200, 0), "upper": (200, 200, 10), **fields}
+    )
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        wide(kind="grid", density=0.5, obstacle_m=0.1, cell_m=0.1),
+        wide(kind="clustered", centroids=[(0, 0)] * 100, density=0.5, spread_m=5, obstacle_m=1, gap_m=1),
+        wide(kind="forest", stems_per_ha=10_000),
+    ],
+    ids=lambda wanted: wanted.kind,
+)
+def test_a_world_too_large_to_draw_is_refused_before_it_is_drawn(wanted: WorldDefinition) -> None:
+    with pytest.raises(BadWorldError, match="places for obstacles, at most 100000 are allowed: make"):
+        make_world(wanted, 0)
+
+
+def test_a_large_world_is_drawn_less_often_until_it_is_given_up() -> None:
+    with pytest.raises(BadWorldError, match="none of 50 draws puts an obstacle"):
+        make_world(wide(kind="grid", density=1e-9, obstacle_m=0.5, cell_m=2.0), 0)

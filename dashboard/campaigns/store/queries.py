@@ -23,6 +23,9 @@ from dashboard.campaigns.store.sqlite import SqliteDatabase
 from deploy.errors import BadSpecError, one_line
 from services.models.mission import MissionSpec
 
+DATABASE_FILE = "zenfi.sqlite"
+"""The database of a store in a folder."""
+
 LONGEST_NUMBER = 18
 """Digits of a campaign's number; the database's integers have 64 bits."""
 
@@ -77,7 +80,7 @@ class StoreQueries:
         else:
             self.folder = Path(where)
             _make_folder(self.folder)
-            self.database = SqliteDatabase(self.folder / "zenfi.sqlite")
+            self.database = SqliteDatabase(self.folder / DATABASE_FILE)
 
     @property
     def place(self) -> str:
@@ -230,7 +233,9 @@ class StoreQueries:
 
 def _make_folder(root: Path) -> None:
     try:
-        (root / "artefacts").mkdir(parents=True, exist_ok=True)
+        # What is in it is the user's alone.
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
+        (root / "artefacts").mkdir(mode=0o700, exist_ok=True)
     except OSError as error:
         message = f"store {root}: {error.strerror}; choose another with --store or ZENFI_HOME"
         raise BadSpecError(message) from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from dashboard.campaigns.store.database import Database, StoreError, StoreFullError
+from dashboard.campaigns.store.database import Database, StoreError, StoreFullError, StoreLostError
 from deploy.errors import BadSpecError
 
 PAGE_BYTES = 4096
@@ -36,18 +37,45 @@ class SqliteDatabase(Database):
         self._path = path
         self._max_pages = 0
         sa.event.listen(self.engine, "connect", self._configure)
-        # Two processes may meet at a store that is not made yet.
-        with path.with_suffix(".lock").open("w") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-            try:
+        try:
+            # Two processes may meet at a store that is not made yet.
+            _make(path.with_suffix(".lock"))
+            with path.with_suffix(".lock").open("w") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX)
+                _make(path)
                 self.upgrade()
-            except sa.exc.DBAPIError as error:
-                self.close()
-                message = f"store {path}: {error.orig}"
-                raise BadSpecError(message) from error
-            except BadSpecError:
-                self.close()
-                raise
+                self._file = _identity(path)
+        except (sa.exc.DBAPIError, OSError) as error:
+            self.close()
+            message = f"store {path}: {error.strerror if isinstance(error, OSError) else error.orig}"
+            raise BadSpecError(message) from error
+        except BadSpecError:
+            self.close()
+            raise
+
+    @contextmanager
+    def reading(self) -> Iterator[sa.Connection]:
+        """A connection that only reads; of a file that is gone SQLite would make an empty one."""
+        self._refuse_another_file()
+        with super().reading() as connection:
+            yield connection
+
+    @contextmanager
+    def writing(self, campaign: int | None = None) -> Iterator[sa.Connection]:
+        """A transaction; what was written into a file that nobody will find again was not written."""
+        self._refuse_another_file()
+        with super().writing(campaign) as connection:
+            yield connection
+        self._refuse_another_file()
+
+    def _refuse_another_file(self) -> None:
+        """Raise StoreLostError unless the store's path still names the file that we opened."""
+        if _identity(self._path) != self._file:
+            message = (
+                f"store {self.place}: the file was removed or replaced while it was in use: put it back, or "
+                "start anew"
+            )
+            raise StoreLostError(message)
 
     def limit(self, disk_mb: int) -> None:
         """Let the file grow to ``disk_mb`` and no further."""
@@ -83,3 +111,21 @@ class SqliteDatabase(Database):
             connection.execute(f"PRAGMA {pragma}")
         if self._max_pages:
             connection.execute(f"PRAGMA max_page_count={self._max_pages}")
+
+
+def _make(path: Path) -> None:
+    """Make a file for the user alone; SQLite makes those beside a store as the store is.
+
+    One that is there is not opened: to close a file ends the locks that SQLite has on it in this process.
+    """
+    with contextlib.suppress(FileExistsError):
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o600))
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Device and inode of a file, if it is there."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return None
+    return found.st_dev, found.st_ino

@@ -81,7 +81,7 @@ class Store(StoreQueries):
         :raises BadSpecError: if it cannot be made, or lies outside the folder of artefacts, by a link.
         """
         try:
-            folder = self._folder(campaign.spec, campaign.label)
+            folder = self.folder_of(campaign.spec, campaign.label)
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             message = (
@@ -90,7 +90,11 @@ class Store(StoreQueries):
             raise BadSpecError(message) from error
         return folder
 
-    def _folder(self, spec: CampaignSpec, label: str) -> Path:
+    def folder_of(self, spec: CampaignSpec, label: str) -> Path:
+        """The folder of a campaign's files, whether it is there or not.
+
+        :raises BadSpecError: if it lies outside the folder of artefacts, by a link.
+        """
         root = (self.folder / "artefacts").resolve()
         folder = (root / spec.artefacts / label).resolve()
         if not folder.is_relative_to(root):
@@ -110,7 +114,7 @@ class Store(StoreQueries):
     def remove_left_over(self) -> None:
         """Remove the rows and files that an interrupted :meth:`delete` has left."""
         for number, name, spec in removal.left_over(self.database):
-            folder = self._folder(CampaignSpec.model_validate_json(spec), f"{name}-{number}")
+            folder = self.folder_of(CampaignSpec.model_validate_json(spec), f"{name}-{number}")
             removal.remove(self.database, number, folder)
 
     @contextmanager

@@ -9,6 +9,7 @@ import subprocess
 from contextlib import closing
 from pathlib import Path
 
+import httpx
 import pytest
 
 from dashboard.campaigns.spec import Arm, CampaignSpec, RecordingPolicy
@@ -100,6 +101,22 @@ def test_the_service_survives_its_pilot_and_starts_another(tmp_path: Path) -> No
                     os.kill(event.data.pid, signal.SIGKILL)
         assert len(pilots) == 2
         assert client.campaigns.get(label).done == 6
+
+
+def test_nothing_is_accepted_into_a_store_whose_file_is_gone(tmp_path: Path) -> None:
+    store = tmp_path / "zenfi.sqlite"
+    with serving(tmp_path) as one, Client(one.address) as client:
+        kept = client.campaigns.create(SPEC.model_copy(update={"name": "kept"})).campaign
+        client.campaigns.command(kept, "cancel")
+        store.rename(tmp_path / "away")
+        with pytest.raises(RequestRefusedError, match="removed or replaced") as refused:
+            client.campaigns.create(SPEC)
+        assert refused.value.problem.status == 503
+        assert httpx.get(f"{one.address}/ready").status_code == 503
+        (tmp_path / "away").rename(store)
+        assert httpx.get(f"{one.address}/ready").status_code == 200
+        label = client.campaigns.create(SPEC).campaign
+        assert [line.campaign for line in client.campaigns.all()] == [label, kept]
 
 
 @pytest.mark.soak

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from dashboard.campaigns.spec import CampaignSpec, Cell, cells, load_campaign, runs
+from dashboard.campaigns.spec import CampaignSpec, Cell, cells, counted, load_campaign, runs
 from deploy.errors import BadSpecError
 
 GOLDEN = {"name": "golden"}
@@ -48,6 +48,37 @@ def test_an_arm_changes_only_what_it_names() -> None:
 def test_arms_fly_the_same_seeds() -> None:
     seeds = [(run.arm, run.spec.seed) for run in runs(spec(mission={"seed": 5}, arms=[GOLDEN, FLIP]))]
     assert seeds == [("golden", 5), ("flip", 5), ("golden", 6), ("flip", 6)]
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {},
+        {"runs": 6, "seeds": 2, "arms": [GOLDEN, FLIP]},
+        {"runs": 5, "arms": [FLIP]},
+        {
+            "runs": 5,
+            "seeds": 3,
+            "arms": [GOLDEN],
+            "worlds": ["sparse", "dense"],
+            "faults": [{"name": "none"}, FLIP],
+        },
+        {"runs": 4, "seeds": 2, "mission": {"clock": "realtime"}, "arms": [GOLDEN, FLIP]},
+        {
+            "arms": [
+                FLIP,
+                {"name": "other", "fault": {"target": "octomap"}, "mission": {"planner": "rrt"}},
+                GOLDEN,
+            ]
+        },
+    ],
+)
+def test_runs_and_twins_are_counted_as_they_are_planned(fields: dict[str, Any]) -> None:
+    campaign = spec(**fields)
+    planned = list(runs(campaign))
+    golden = {run.spec.model_dump_json() for run in planned if run.spec.fault is None}
+    twins = {run.twin.model_dump_json() for run in planned if run.spec.fault is not None}
+    assert counted(campaign) == (len(planned), len(twins - golden))
 
 
 def test_flights_that_would_repeat_are_flown_once() -> None:

@@ -17,7 +17,7 @@ from dashboard.campaigns.results.injection_groups import injected_flights
 from dashboard.campaigns.spec import Arm, CampaignSpec, Condition
 from dashboard.campaigns.state_machine import CampaignStates
 from dashboard.campaigns.store import postgresql
-from dashboard.campaigns.store.database import StoreFullError, migrate
+from dashboard.campaigns.store.database import StoreFullError, StoreLostError, migrate
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.schema import Base
 from dashboard.campaigns.store.store import BusyError, Store
@@ -291,6 +291,41 @@ def test_a_store_of_a_newer_zenfi_is_left_alone(where: str, tmp_path: Path) -> N
     engine.dispose()
     with pytest.raises(BadSpecError, match="newer"):
         Store(where)
+
+
+def test_a_store_is_its_users_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "made"
+    with closing(Store(folder)) as store:
+        store.create(SPEC)
+        assert len(list(folder.iterdir())) >= 4
+        for path in (folder, *folder.iterdir()):
+            assert not path.stat().st_mode & 0o077, path
+
+
+def test_a_file_that_is_gone_or_another_is_neither_read_nor_written(tmp_path: Path) -> None:
+    file, away = tmp_path / "zenfi.sqlite", tmp_path / "away"
+    with closing(Store(tmp_path)) as store:
+        kept = store.create(SPEC)
+        file.rename(away)
+        for another in (False, True):
+            if another:
+                file.touch()
+            with pytest.raises(StoreLostError, match="removed or replaced"):
+                store.find(kept.label)
+            with pytest.raises(StoreLostError, match="removed or replaced"):
+                store.create(SPEC)
+            assert file.exists() == another
+        away.rename(file)
+        assert [one.label for one in store.campaigns()] == [kept.label]
+
+
+def test_what_was_written_into_a_file_that_goes_meanwhile_was_not_written(tmp_path: Path) -> None:
+    with closing(Store(tmp_path)) as store:
+        writing = store.database.writing()
+        writing.__enter__().execute(sa.text("DELETE FROM campaigns"))
+        (tmp_path / "zenfi.sqlite").unlink()
+        with pytest.raises(StoreLostError):
+            writing.__exit__(None, None, None)
 
 
 def test_what_is_no_store_is_refused(tmp_path: Path) -> None:
