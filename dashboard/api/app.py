@@ -19,6 +19,7 @@ from dashboard.api.routes import (
     campaigns,
     catalogue,
     flights,
+    health,
     metrics,
     nodes,
     recordings,
@@ -60,9 +61,10 @@ def make_app(
     )
     app.state.service, app.state.token = service, token
     api = APIRouter(prefix="/api/v1", responses=EVERYWHERE)
-    for part in (streaming, runs, recordings, results, campaigns, flights, catalogue, nodes):
+    for part in (streaming, runs, recordings, results, campaigns, flights, catalogue, nodes, health):
         api.include_router(part.router)
     app.include_router(api)
+    app.include_router(health.for_all, responses=EVERYWHERE)
     app.include_router(metrics.router, responses=EVERYWHERE)
     problems.install(app)
     app.state.metrics = CollectorRegistry()

@@ -16,7 +16,8 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
-from typing import Literal
+from datetime import UTC, datetime
+from typing import Any, Literal
 
 from dashboard.api.processes.event_bus import EventBus
 from dashboard.api.processes.events import ProcessEvent
@@ -27,6 +28,7 @@ from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import BusyError, Store
 from deploy.errors import BadSpecError
 from deploy.recording.snapshot import FlightSnapshot
+from services.models.base import Strict
 
 LOOK_S = 2.0
 """Interval at which the store is read for campaigns to fly; :meth:`CampaignRunner.notify` shortens it."""
@@ -38,6 +40,23 @@ GRACE_S = 15.0
 """Time that a campaign process has to store its state after SIGTERM."""
 
 logger = logging.getLogger("zenfi.runner")
+
+
+class FlownRun(Strict):
+    """A flight that has come to a result, and when."""
+
+    campaign: str
+    run: int
+    at: str
+
+
+class LaneState(Strict):
+    """How a lane is: whether its thread lives, what it flies, how often in a row it could not."""
+
+    name: str
+    alive: bool
+    flying: str
+    failures: int
 
 
 def is_flight(spec: CampaignSpec) -> bool:
@@ -93,6 +112,17 @@ class CampaignRunner:
         return all(lane.thread.is_alive() for lane in self._lanes)
 
     @property
+    def lanes(self) -> list[LaneState]:
+        """How both lanes are."""
+        return [lane.state for lane in self._lanes]
+
+    @property
+    def last_flight(self) -> FlownRun | None:
+        """The newest flight that came to a result, in this life of the service."""
+        flown = [lane.last_flight for lane in self._lanes if lane.last_flight is not None]
+        return max(flown, key=lambda one: one.at, default=None)
+
+    @property
     def processes(self) -> dict[str, int]:
         """The pid of the process of each campaign that is flown."""
         return {lane.flying: lane.process.pid for lane in self._lanes if lane.process is not None}
@@ -115,9 +145,16 @@ class _Lane:
         self._leaving = threading.Event()
         self.notified = threading.Event()
         self.flying = ""
+        self.last_flight: FlownRun | None = None
         self.process: subprocess.Popen[bytes] | None = None
         # The process dies with the thread that started it: this one, which lives as long as the service.
         self.thread = threading.Thread(target=self._work, name=f"lane-{name}", daemon=True)
+
+    @property
+    def state(self) -> LaneState:
+        """How it is."""
+        name, alive = self.thread.name.removeprefix("lane-"), self.thread.is_alive()
+        return LaneState(name=name, alive=alive, flying=self.flying, failures=self._failures)
 
     def leave(self) -> None:
         """Start nothing more; have the process pause its campaign."""
@@ -244,12 +281,18 @@ class _Lane:
                 if kind == "run":
                     self._over(event["run"])
                     flights.discard(event["run"])
+                    self._note_flight(label, event)
                 elif kind == "flight":
                     flights.add(event["run"])
                 self._event_bus.publish(kind, json.dumps(event), label, "" if kind == "run" else key)
         for run in flights:
             self._over(run)
         return process.wait()
+
+    def _note_flight(self, label: str, event: dict[str, Any]) -> None:
+        if event["result"] is not None:
+            now = datetime.now(UTC).isoformat(timespec="milliseconds")
+            self.last_flight = FlownRun(campaign=label, run=event["run"], at=now)
 
     def _over(self, run: int) -> None:
         self._event_bus.forget(f"flight {run}")

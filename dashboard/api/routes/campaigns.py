@@ -54,7 +54,15 @@ RequestKey = Annotated[
 class NewCampaign(Strict):
     """A specification, or a preset's name."""
 
-    model_config = {"json_schema_extra": {"examples": [_EXAMPLE, {"preset": "demo", "scale": 0.5}]}}
+    model_config = {
+        "json_schema_extra": {
+            "examples": [_EXAMPLE, {"preset": "demo", "scale": 0.5}],
+            "oneOf": [
+                {"required": ["spec"], "properties": {"preset": {"type": "null"}, "scale": {"const": 1}}},
+                {"required": ["preset"], "properties": {"spec": {"type": "null"}}},
+            ],
+        }
+    }
 
     spec: CampaignSpec | None = None
     preset: str | None = Field(default=None, max_length=60)

@@ -1,4 +1,4 @@
-"""How the service is: logs a line of JSON each, metrics for Prometheus, health and readiness."""
+"""What the service counts and logs: metrics for Prometheus, a line of JSON for each request."""
 
 from __future__ import annotations
 
@@ -17,10 +17,8 @@ from prometheus_client.registry import Collector
 from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from dashboard.api.problems import NotReadyError, documented
-from dashboard.api.service import Service, ServiceDep
+from dashboard.api.service import Service
 from dashboard.campaigns.store.schema import CampaignRow, RunRow
-from services.models.base import Strict
 
 _PLAIN = frozenset(logging.makeLogRecord({}).__dict__) | {"message", "asctime", "color_message", "taskName"}
 
@@ -50,28 +48,6 @@ def log_to_stderr() -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter())
     logging.basicConfig(level=logging.INFO, handlers=[handler])
-
-
-class Status(Strict):
-    """The state of the service: `ok` if it works."""
-
-    status: str = "ok"
-
-
-@router.get("/health")
-def read_health() -> Status:
-    """Whether the service answers at all."""
-    return Status()
-
-
-@router.get("/ready", responses=documented(503))
-def read_ready(service: ServiceDep) -> Status:
-    """Whether it can take campaigns: the store answers, and somebody flies what is in it."""
-    if service.event_bus.closed or not service.runner.working:
-        raise NotReadyError("the service is starting, or ending")
-    with service.store.reading() as connection:
-        connection.execute(sa.select(sa.literal(1)))
-    return Status()
 
 
 @router.get("/metrics", response_class=PlainTextResponse)

@@ -29,6 +29,9 @@ class StoreLostError(StoreError):
 class Database(ABC):
     """Connections to one database. ``place`` is what people call it: never with a password."""
 
+    file: tuple[int, int] | None = None
+    """Device and inode of the one file that it is, if it is one."""
+
     def __init__(self, engine: sa.Engine, place: str) -> None:
         self.place = place
         self.engine = engine

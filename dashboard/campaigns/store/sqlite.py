@@ -44,7 +44,7 @@ class SqliteDatabase(Database):
                 fcntl.flock(lock, fcntl.LOCK_EX)
                 _make(path)
                 self.upgrade()
-                self._file = _identity(path)
+                self.file = _identity(path)
         except (sa.exc.DBAPIError, OSError) as error:
             self.close()
             message = f"store {path}: {error.strerror if isinstance(error, OSError) else error.orig}"
@@ -70,7 +70,7 @@ class SqliteDatabase(Database):
 
     def _refuse_another_file(self) -> None:
         """Raise StoreLostError unless the store's path still names the file that we opened."""
-        if _identity(self._path) != self._file:
+        if _identity(self._path) != self.file:
             message = (
                 f"store {self.place}: the file was removed or replaced while it was in use: put it back, or "
                 "start anew"
