@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
@@ -113,9 +114,25 @@ def _field(error: Any) -> FieldProblem:
     )
 
 
-def _refused(_: Request, error: Exception) -> JSONResponse:
+def _refused(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)  # noqa: S101 - registered for these
-    return answer(error.status_code, str(error.detail), headers=error.headers)
+    headers = error.headers
+    if error.status_code == 405:
+        # Starlette's names the methods of one of a path's routes.
+        headers = {"Allow": ", ".join(_methods(request.app.openapi()["paths"], request.url.path))}
+    return answer(error.status_code, str(error.detail), headers=headers)
+
+
+def _methods(paths: Mapping[str, Mapping[str, Any]], asked: str) -> list[str]:
+    """All methods that the document has for a path; of several templates that fit, the one that says most."""
+    fitting = [template for template in paths if re.fullmatch(_as_pattern(template), asked)]
+    closest = min(fitting, key=lambda template: template.count("{"), default=None)
+    return sorted(method.upper() for method in paths.get(closest or "", ()))
+
+
+def _as_pattern(template: str) -> str:
+    rest = re.escape(template).replace(re.escape("{path}"), ".+")
+    return re.sub(r"\\\{\w+\\\}", "[^/]+", rest)
 
 
 def _failed(request: Request, error: Exception) -> JSONResponse:

@@ -118,11 +118,8 @@ class AccessGuard:
             return 403, f"Origin {origin!r} is not this service"
         if scope["path"] in OPEN or self._bears_token(scope, headers) or self._is_our_user(scope):
             return None
-        others = "the service belongs to another user of this machine, so this " if self._loopback else ""
-        return (
-            401,
-            f"{others}needs the header Authorization: Bearer TOKEN; its owner makes one: zenfi token new",
-        )
+        whose = "another user of this machine serves here: it " if self._loopback else ""
+        return 401, f"{whose}needs the header Authorization: Bearer TOKEN; zenfi token new makes one"
 
     def _bears_token(self, scope: Scope, headers: Headers) -> bool:
         scheme, _, token = headers.get("authorization", "").partition(" ")

@@ -6,6 +6,9 @@ page of 100 runs over HTTP, per order and filter, first page and one in the midd
 ``python -m tests.bench.service streams [RUNS CLIENTS REPEATS]`` (40, 10, 3): a campaign without clients of
 streams and with so many, one of which never reads, in turns; the ratio of their times from first result to
 last.
+
+``python -m tests.bench.service large [RUNS]`` (100,000): with so many flown runs, processor time of the
+service for pages and tables, and by how much its memory grows while it exports them.
 """
 
 import json
@@ -24,6 +27,7 @@ from dashboard.campaigns.spec import Arm, CampaignSpec
 from dashboard.campaigns.store.store import Store
 from dashboard.client import Client
 from services.models.mission import Limits, MissionSpec
+from services.system.process_stat import process_stat
 from tests.dashboard.api.conftest import Serving, serving
 from tests.dashboard.campaigns.store.test_store import outcome
 
@@ -70,6 +74,38 @@ def pages(runs: int) -> None:
                         "median_ms": round(1e3 * statistics.median(times), 1),
                     }
                     print(json.dumps(told), flush=True)
+
+
+def large(runs: int) -> None:
+    with tempfile.TemporaryDirectory() as name:
+        fill(Path(name), runs)
+        with serving(Path(name)) as one, httpx.Client(base_url=one.address, timeout=600) as client:
+            campaign, pid = "/api/v1/campaigns/2", one.process.pid
+            client.get("/api/v1/campaigns").raise_for_status()
+            reading = {query: f"{campaign}/runs?limit=100&{query}" for query in QUERIES}
+            reading |= {what: f"{campaign}/{what}" for what in ("table", "comparison?against=a")}
+            reading |= {"campaigns": "/api/v1/campaigns", "campaign": campaign, "metrics": "/metrics"}
+            reading |= {form: f"{campaign}/export?format={form}" for form in ("csv", "parquet")}
+            for what, path in reading.items():
+                client.get(path).raise_for_status()  # what is loaded the first time
+                before, peak = process_stat(pid).cpu_s, _reset_peak(pid)
+                with client.stream("GET", path) as answer:
+                    size = sum(map(len, answer.iter_bytes()))
+                cpu_ms = round(1e3 * (process_stat(pid).cpu_s - before))
+                grown = round(_peak_mb(pid) - peak, 1)
+                print(
+                    json.dumps({"what": what, "cpu_ms": cpu_ms, "bytes": size, "grown_mb": grown}), flush=True
+                )
+
+
+def _reset_peak(pid: int) -> float:
+    Path(f"/proc/{pid}/clear_refs").write_text("5")
+    return _peak_mb(pid)
+
+
+def _peak_mb(pid: int) -> float:
+    status = Path(f"/proc/{pid}/status").read_text()
+    return int(status.partition("VmHWM:")[2].split(maxsplit=1)[0]) / 1024
 
 
 def deep(client: httpx.Client, path: str, pages_on: int) -> str:
@@ -129,5 +165,7 @@ if __name__ == "__main__":
     what, *numbers = sys.argv[1:]
     if what == "pages":
         pages(*map(int, numbers or ["10000"]))
+    elif what == "large":
+        large(*map(int, numbers or ["100000"]))
     else:
         streams(*map(int, numbers or ["40", "10", "3"]))

@@ -197,12 +197,80 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "dashboard/api/peers.py",
+        "tests/dashboard/api/test_peers.py",
+        ("peers: a closed socket is root's", 'wanted and fields[9] != "0"', "wanted"),
+    ),
+    *_of(
+        "dashboard/campaigns/store/sqlite.py",
+        "tests/dashboard/campaigns/store/test_store.py",
+        (
+            "store: a file that goes while it is written to",
+            "yield connection\n        self._refuse_another_file()",
+            "yield connection",
+        ),
+        (
+            "store: everybody may read it",
+            "os.O_WRONLY | os.O_CLOEXEC, 0o600",
+            "os.O_WRONLY | os.O_CLOEXEC, 0o644",
+        ),
+    ),
+    *_of(
+        "dashboard/campaigns/store/backup.py",
+        "tests/dashboard/campaigns/store/test_backup.py",
+        ("backup: files are not looked for", 'if files == "kept" and not', 'if files == "lost" and not'),
+        (
+            "backup: what is damaged is put back",
+            "if problem := next(problems(copy), None):",
+            "if problem := '':",
+        ),
+    ),
+    *_of(
+        "dashboard/api/request_limit.py",
+        "tests/dashboard/api/test_request_limit.py",
+        (
+            "limit: requests that have ended still count",
+            "                self._at_once -= 1",
+            "                pass",
+        ),
+        ("limit: a pause gives as much as it is long", "min(BURST, self._tokens +", "(self._tokens +"),
+    ),
+    *_of(
+        "dashboard/campaigns/spec.py",
+        "tests/dashboard/campaigns/test_spec.py",
+        (
+            "forecast: golden arms' flights are twins, too",
+            "len(struck - golden) * seeds",
+            "len(struck) * seeds",
+        ),
+    ),
+    *_of(
+        "sim/world.py",
+        "tests/sim/test_world.py",
+        ("world: any number of places", "if count > MOST_CANDIDATES:", "if False:"),
+    ),
+    *_of(
+        "deploy/config/check.py",
+        "tests/deploy/mission/test_own_stack.py",
+        ("own stack: Python may ignore its hash seed", 'set(word) & set("IE")', 'set(word) & set("Q")'),
+    ),
+    *_of(
         "dashboard/api/security.py",
         "tests/dashboard/api/test_security.py",
         (
             "security: WebSockets need no token",
-            'if self._token and scope["path"] not in OPEN:',
-            'if self._token and scope["type"] == "http" and scope["path"] not in OPEN:',
+            'if scope["path"] in OPEN or self._bears',
+            'if scope["type"] == "websocket" or scope["path"] in OPEN or self._bears',
+        ),
+        (
+            "security: on loopback everybody is our user",
+            'tuple(scope["server"])) == os.getuid()',
+            'tuple(scope["server"])) is not None',
+        ),
+        (
+            "security: our user needs no token beyond loopback",
+            "return self._loopback and self._user_of",
+            "return self._user_of",
         ),
         ("security: the group may read the token's file", "if mode & 0o077:", "if mode & 0o007:"),
         ("security: others may read the token's file", "if mode & 0o077:", "if mode & 0o070:"),

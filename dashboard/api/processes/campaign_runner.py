@@ -113,7 +113,7 @@ class CampaignRunner:
 
     @property
     def lanes(self) -> list[LaneState]:
-        """How both lanes are."""
+        """The state of both lanes: what they fly, and whether their threads live."""
         return [lane.state for lane in self._lanes]
 
     @property
@@ -152,7 +152,7 @@ class _Lane:
 
     @property
     def state(self) -> LaneState:
-        """How it is."""
+        """The state of the lane: what it flies, and whether its thread lives."""
         name, alive = self.thread.name.removeprefix("lane-"), self.thread.is_alive()
         return LaneState(name=name, alive=alive, flying=self.flying, failures=self._failures)
 

@@ -58,14 +58,26 @@ class NewCampaign(Strict):
         "json_schema_extra": {
             "examples": [_EXAMPLE, {"preset": "demo", "scale": 0.5}],
             "oneOf": [
-                {"required": ["spec"], "properties": {"preset": {"type": "null"}, "scale": {"const": 1}}},
-                {"required": ["preset"], "properties": {"spec": {"type": "null"}}},
+                {
+                    "required": ["spec"],
+                    "properties": {
+                        "spec": {"type": "object"},
+                        "preset": {"type": "null"},
+                        "scale": {"const": 1},
+                    },
+                },
+                {
+                    "required": ["preset"],
+                    "properties": {"preset": {"type": "string"}, "spec": {"type": "null"}},
+                },
             ],
         }
     }
 
     spec: CampaignSpec | None = None
-    preset: str | None = Field(default=None, max_length=60)
+    preset: str | None = Field(
+        default=None, max_length=60, json_schema_extra={"enum": [*(one.name for one in presets()), None]}
+    )
     scale: float = Field(default=1.0, gt=0, le=1000, description="times the runs of the preset")
 
     @field_validator("spec")

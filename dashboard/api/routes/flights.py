@@ -67,13 +67,13 @@ def read_flight(service: ServiceDep, campaign: CampaignDep) -> FlightInfo:
     return _flight(service, campaign)
 
 
-@router.get("/{label}/sight")
+@router.get("/{label}/sight", responses=documented(409))
 def read_sight(service: ServiceDep, campaign: CampaignDep) -> FlightSnapshot:
     """Depth image and map of a flight that is under way, renewed twice a second at most."""
     seen = service.runner.sight(_flight(service, campaign).run.id)
     if seen is None:
         message = f"{campaign.label} is not under way, or has seen nothing yet"
-        raise NotFoundError(message)
+        raise ConflictError(message)
     return seen
 
 

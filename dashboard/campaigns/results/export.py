@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
+from itertools import islice
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
@@ -16,6 +17,9 @@ from deploy.errors import BadSpecError
 from services.models.outcome import NodeResult
 
 Columns = Mapping[str, type]
+
+GROUP_ROWS = 5000
+"""Rows of a Parquet file that are in memory together: a row group."""
 
 _RUN: dict[str, type] = {
     **dict.fromkeys(Cell._fields, str),
@@ -113,4 +117,7 @@ def _parquet(columns: Columns, table: Iterable[dict[str, object]], path: Path) -
         raise BadSpecError(message) from error
     types = {str: pa.string(), int: pa.int64(), float: pa.float64(), bool: pa.bool_()}
     schema = pa.schema([(name, types[kind]) for name, kind in columns.items()])
-    parquet.write_table(pa.Table.from_pylist(list(table), schema=schema), path)
+    left = iter(table)
+    with parquet.ParquetWriter(path, schema) as writer:
+        while group := list(islice(left, GROUP_ROWS)):
+            writer.write_table(pa.Table.from_pylist(group, schema=schema))

@@ -29,6 +29,9 @@ DATABASE_FILE = "zenfi.sqlite"
 LONGEST_NUMBER = 18
 """Digits of a campaign's number; the database's integers have 64 bits."""
 
+ROWS_AT_ONCE = 1000
+"""Of a long table, so many rows are in memory; PostgreSQL's driver would fetch them all."""
+
 _RUN_COLUMNS = ("id", "arm", "world", "fault", "number", "seed", "phase", "attempts", "error")
 _RESULT_COLUMNS = [column.name for column in fields(Result)]
 
@@ -204,6 +207,7 @@ class StoreQueries:
             .join(ResultRow, ResultRow.run_id == RunRow.id, isouter=True)
             .where(RunRow.campaign_id == campaign.id)
             .order_by(RunRow.id)
+            .execution_options(yield_per=ROWS_AT_ONCE)
         )
         with self.database.reading() as connection:
             for row in connection.execute(query):
