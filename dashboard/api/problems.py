@@ -117,9 +117,8 @@ def _field(error: Any) -> FieldProblem:
 def _refused(request: Request, error: Exception) -> JSONResponse:
     assert isinstance(error, HTTPException)  # noqa: S101 - registered for these
     headers = error.headers
-    if error.status_code == 405:
-        # Starlette's names the methods of one of a path's routes.
-        headers = {"Allow": ", ".join(_methods(request.app.openapi()["paths"], request.url.path))}
+    if error.status_code == 405 and (methods := _methods(request.app.openapi()["paths"], request.url.path)):
+        headers = {"Allow": ", ".join(methods)}  # Starlette's names those of one of the path's routes
     return answer(error.status_code, str(error.detail), headers=headers)
 
 

@@ -36,7 +36,9 @@ class RequestLimit:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, or have it sent again later."""
-        if scope["type"] != "http" or scope["method"] not in CHANGING:
+        # Others than the owner reach no more than /login; they shall not use up what is the owner's.
+        is_ours = scope["type"] == "http" and scope["path"].startswith("/api/")
+        if not is_ours or scope["method"] not in CHANGING:
             await self._app(scope, receive, send)
             return
         now = self._now()

@@ -92,4 +92,7 @@ def _trouble(service: Service) -> str:
 
 
 def _free_mb(service: Service) -> int:
-    return shutil.disk_usage(service.store.folder).free // 1_000_000
+    try:
+        return shutil.disk_usage(service.store.folder).free // 1_000_000
+    except OSError:  # the folder is gone
+        return 0

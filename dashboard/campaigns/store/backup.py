@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import sqlalchemy as sa
@@ -34,12 +34,14 @@ def back_up(store: Store, target: Path) -> None:
     if store.database.engine.dialect.name != "sqlite":
         message = f"{store.place}: a server's store is backed up by pg_dump; its files are in {store.folder}"
         raise BadSpecError(message)
-    draft = _draft(target)
-    # The database first: whatever file it names is there when files are copied.
-    with store.reading() as connection:
-        connection.execute(sa.text("VACUUM INTO :file"), {"file": str(draft / DATABASE_FILE)})
-    (draft / DATABASE_FILE).chmod(0o600)
-    _finish(store, draft, target)
+    with _made_whole(target) as draft:
+        # The database first: whatever file it names is there when files are copied.
+        with store.reading() as connection:
+            connection.execute(sa.text("VACUUM INTO :file"), {"file": str(draft / DATABASE_FILE)})
+        (draft / DATABASE_FILE).chmod(0o600)
+        shutil.copytree(
+            store.folder / "artefacts", draft / "artefacts", symlinks=True, copy_function=_copy_if_there
+        )
 
 
 def restore(source: Path, target: Path) -> None:
@@ -99,26 +101,29 @@ def _problems_of(store: Store, number: int, folder: Path) -> Iterator[str]:
                 yield f"{where}: its file {folder / f'run-{run}.json'} is missing"
 
 
-def _draft(target: Path) -> Path:
-    """A new folder beside ``target``, which takes its name when it is whole."""
+@contextmanager
+def _made_whole(target: Path) -> Iterator[Path]:
+    """A new folder beside ``target``, which takes its name when it is whole, and is removed if it never is.
+
+    :raises BadSpecError: if ``target`` is there, or cannot be made.
+    """
     if target.exists():
         message = f"{target}: it is there already: name a folder that is to be made"
         raise BadSpecError(message)
     draft = target.with_name(f".{target.name}.part")
     try:
-        if draft.exists():
-            shutil.rmtree(draft)
+        shutil.rmtree(draft, ignore_errors=True)
         draft.mkdir(mode=0o700, parents=True)
-    except OSError as error:
-        message = f"{draft}: {error.strerror}"
-        raise BadSpecError(message) from error
-    return draft
-
-
-def _finish(store: Store, draft: Path, target: Path) -> None:
-    try:
-        shutil.copytree(store.folder / "artefacts", draft / "artefacts", symlinks=True)
+        yield draft
         draft.rename(target)
-    except (OSError, shutil.Error) as error:
-        message = f"{target}: {error}"
+    except OSError as error:  # shutil's are, too
+        message = f"{target}: {error.strerror or error}"
         raise BadSpecError(message) from error
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _copy_if_there(source: str, target: str) -> None:
+    """Copy a file, unless the flight that it belongs to has just dropped it."""
+    with suppress(FileNotFoundError):
+        shutil.copy2(source, target, follow_symlinks=False)

@@ -24,7 +24,9 @@ class Asked:
     def let_go(self) -> None:
         self._go.set()
 
-    async def status(self, method: str = "POST") -> tuple[int, dict[bytes, bytes]]:
+    async def status(
+        self, method: str = "POST", path: str = "/api/v1/flights"
+    ) -> tuple[int, dict[bytes, bytes]]:
         sent: list[Message] = []
 
         async def send(message: Message) -> None:
@@ -33,7 +35,7 @@ class Asked:
         async def receive() -> Message:
             return {"type": "http.request"}
 
-        await self._limit({"type": "http", "method": method, "headers": []}, receive, send)
+        await self._limit({"type": "http", "method": method, "path": path, "headers": []}, receive, send)
         return sent[0]["status"], dict(sent[0]["headers"])
 
 
@@ -44,6 +46,7 @@ def test_a_burst_is_taken_and_what_is_more_is_to_wait() -> None:
         status, headers = await asked.status()
         assert (status, headers[b"retry-after"]) == (429, b"1")
         assert (await asked.status("GET"))[0] == 200
+        assert (await asked.status(path="/login"))[0] == 200
         asked.now += 1.0
         later = [(await asked.status())[0] for _ in range(int(MOST_A_SECOND) + 1)]
         assert later == [200] * int(MOST_A_SECOND) + [429]

@@ -62,5 +62,10 @@ def test_without_room_for_results_it_takes_none(store: Store, monkeypatch: pytes
         assert refused.status_code == 503
         assert str(store.folder) not in refused.text
         assert "MB are left on its disk" in ask(app, STATE).json()["trouble"]
+        store.folder.rename(store.folder.with_name("away"))
+        told = ServiceState.model_validate_json(ask(app, STATE).content)
+        assert told.trouble
+        assert told.store.free_mb == 0
+        store.folder.with_name("away").rename(store.folder)
     finally:
         runner.stop()

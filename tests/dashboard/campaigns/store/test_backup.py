@@ -74,6 +74,32 @@ def test_a_copy_that_is_made_while_results_are_written_is_sound(here: Path, tmp_
         assert told(tmp_path / f"copy-{number}") == []
 
 
+def test_a_file_that_is_dropped_while_it_is_copied_does_not_matter(
+    here: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copy = shutil.copy2
+
+    def dropped(source: str, target: str, *, follow_symlinks: bool) -> None:
+        if source.endswith("run-1.json"):
+            Path(source).unlink()
+        copy(source, target, follow_symlinks=follow_symlinks)
+
+    monkeypatch.setattr(shutil, "copy2", dropped)
+    with closing(Store(here)) as store:
+        back_up(store, tmp_path / "copy")
+    files = [path.name for path in (tmp_path / "copy" / "artefacts" / "x-1").iterdir()]
+    assert files == ["run-2.json"]
+
+
+def test_of_a_copy_that_cannot_be_finished_nothing_is_left(here: Path, tmp_path: Path) -> None:
+    shutil.rmtree(here / "artefacts")
+    with closing(Store(here)) as store:
+        shutil.rmtree(here / "artefacts")
+        with pytest.raises(BadSpecError, match="copy: No such file"):
+            back_up(store, tmp_path / "copy")
+    assert [path.name for path in tmp_path.iterdir()] == ["here"]
+
+
 def test_nothing_is_overwritten(here: Path, tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
     with closing(Store(here)) as store, pytest.raises(BadSpecError, match="there already"):
