@@ -216,6 +216,55 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "dashboard/campaigns/store/columns.py",
+        "tests/dashboard/campaigns/store/test_columns.py",
+        (
+            "columns: whoever reads sees the array change",
+            "rows, new = kept.rows.copy(), rows",
+            "rows, new = kept.rows, rows",
+        ),
+        ("columns: all runs are read again", "RunRow.changed > sa", "RunRow.changed >= sa"),
+        ("columns: every campaign is kept", "sum(len(one.rows)", "sum(0 * len(one.rows)"),
+    ),
+    *_of(
+        "dashboard/campaigns/store/store.py",
+        "tests/dashboard/campaigns/store/test_columns.py",
+        ("columns: a write does not count", "scalar_one()) + 1", "scalar_one())"),
+    ),
+    *_of(
+        "dashboard/campaigns/store/database.py",
+        "tests/dashboard/campaigns/store/test_migrations.py",
+        (
+            "migrations: half a step is left",
+            'connection.exec_driver_sql("BEGIN IMMEDIATE")',
+            'connection.exec_driver_sql("PRAGMA user_version")',
+        ),
+    ),
+    *_of(
+        "dashboard/campaigns/results/detection_effects.py",
+        "tests/dashboard/campaigns/results/test_detection_effects.py",
+        (
+            "effects: further from the twin is recovered",
+            "_deviation(flights) < _d",
+            "_deviation(flights) > _d",
+        ),
+    ),
+    *_of(
+        "dashboard/campaigns/results/detection_effects.py",
+        "tests/dashboard/campaigns/test_flight_record.py",
+        ("compare: beside another seed", "(wanted >= 0) &", "(wanted >= 0) |"),
+    ),
+    *_of(
+        "dashboard/campaigns/results/compare.py",
+        "tests/dashboard/campaigns/test_flight_record.py",
+        (
+            "compare: lost flights have differences",
+            "both = arrived & others_arrived",
+            "both = arrived | True",
+        ),
+        ("compare: runs that were not flown are pairs", '(runs["result"] != None) & ', ""),
+    ),
+    *_of(
         "dashboard/campaigns/store/backup.py",
         "tests/dashboard/campaigns/store/test_backup.py",
         ("backup: files are not looked for", 'if files == "kept" and not', 'if files == "lost" and not'),
@@ -647,8 +696,8 @@ MUTANTS: list[Mutant] = [
         ("statistics: paired samples as if independent", "a * a - 2 * phi * a * b + b * b", "a * a + b * b"),
         (
             "statistics: the median's interval is too narrow",
-            "ordered[outer - 1], ordered[-outer]",
-            "ordered[outer], ordered[-outer - 1]",
+            "float(ordered[outer - 1]), float(ordered[-outer])",
+            "float(ordered[outer]), float(ordered[-outer - 1])",
         ),
         (
             "statistics: without trials nothing is known",
@@ -678,10 +727,11 @@ MUTANTS: list[Mutant] = [
         "tests/dashboard/campaigns/statistics/test_differences.py",
         (
             "statistics: the bootstrap is another one each time",
-            "rng=rng.generator(seed, f",
-            "rng=rng.generator(__import__('secrets').randbits(40), f",
+            "rng.generator(seed, f",
+            "rng.generator(__import__('secrets').randbits(40), f",
         ),
-        ("statistics: quantiles biased inwards", 'method="weibull"', 'method="linear"'),
+        ("statistics: quantiles biased inwards", "(n + 1) * quantile", "(n - 1) * quantile + 1"),
+        ("statistics: neighbours drawn apart", "(1 - first) * draw.beta", "0 * draw.beta"),
     ),
     *_of(
         "injector/reproducible/installed_packages.py",

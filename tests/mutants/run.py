@@ -87,7 +87,11 @@ class Tree:
         """What leaves out the shared fixtures, where no test asks for them or for what forks nodes."""
         named = [self.folder / test.partition("::")[0] for test in tests]
         files = [file for one in named for file in ([one] if one.is_file() else one.rglob("test_*.py"))]
-        asked = any(word in file.read_text() for file in files for word in ("usefixtures", "ForkServer"))
+        asked = any(
+            word in file.read_text()
+            for file in files
+            for word in ("usefixtures", "ForkServer", "store: Store")
+        )
         return () if asked else ("--noconftest",)
 
     def end(self) -> None:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
-from dashboard.campaigns.flight_record import FlightRecord, Result
-from dashboard.campaigns.spec import Cell
+from dashboard.campaigns.results.detection_effects import partners
+from dashboard.campaigns.results.summary import by_cell
+from dashboard.campaigns.spec import Cell, cells
 from dashboard.campaigns.statistics.differences import quantile_interval
 from dashboard.campaigns.statistics.proportions import Interval, Pairs, holm, mcnemar, newcombe_paired
+from dashboard.campaigns.store.columns import Rows
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 from deploy.errors import BadSpecError
@@ -20,14 +23,8 @@ from services.models.base import Strict
 SEED = 0
 """Of the bootstrap: the same flights give the same intervals."""
 
-
-class Quality(NamedTuple):
-    """What is compared of a flight."""
-
-    success: bool
-    flight_time_s: float
-    distance_m: float
-    energy_kj: float
+MEASURES = ("flight_time_s", "distance_m", "energy_kj")
+"""Quantities whose differences are told."""
 
 
 class Difference(Strict):
@@ -57,40 +54,68 @@ class Comparison(Strict):
     energy_kj: Difference
 
 
-Paired = tuple[Cell, str, list[tuple[Quality, Quality]]]
-"""A cell, the name of its reference, and the pairs."""
+@dataclass(frozen=True, slots=True)
+class Paired:
+    """A cell, the name of its reference, and which of its pairs succeeded.
+
+    ``differences`` has one row for each of :data:`MEASURES` and a column for each pair in which both arrived.
+    """
+
+    cell: Cell
+    reference: str
+    own: NDArray[np.bool_]
+    others: NDArray[np.bool_]
+    differences: NDArray[np.float64]
 
 
-def with_twins(records: Sequence[FlightRecord]) -> list[Paired]:
+def with_twins(cells: Sequence[Cell], runs: Rows) -> list[Paired]:
     """Each cell with faults beside its golden twins."""
-    found: dict[Cell, list[tuple[Quality, Quality]]] = {}
-    for record in records:
-        if record.result is not None and record.result.twin_success is not None:
-            found.setdefault(record.cell, []).append((_own(record.result), _twin(record.result)))
-    return [(cell, "golden twins", pairs) for cell, pairs in found.items()]
+    told = []
+    for cell, members in zip(cells, by_cell(runs, len(cells)), strict=True):
+        own = members[~np.isnan(runs["twin_success"][members])]
+        if len(own):
+            told.append(_paired(cell, "golden twins", runs, own, runs, own, "twin_"))
+    return told
 
 
 def with_others(
-    records: Sequence[FlightRecord],
-    others: Sequence[FlightRecord],
-    reference: str,
-    match: Callable[[Cell], Cell],
+    cells: Sequence[Cell], runs: Rows, others: Rows, reference: str, cell_of: Sequence[int]
 ) -> list[Paired]:
-    """Each cell beside the cell of ``others`` that ``match`` names; runs of one number and seed are pairs."""
-    flown = {
-        (other.cell, other.number, other.seed): other.result for other in others if other.result is not None
-    }
-    found: dict[Cell, list[tuple[Quality, Quality]]] = {}
-    for record in records:
-        other = flown.get((match(record.cell), record.number, record.seed))
-        if record.result is not None and other is not None:
-            found.setdefault(record.cell, []).append((_own(record.result), _own(other)))
-    return [(cell, reference, pairs) for cell, pairs in found.items()]
+    """Each cell beside the cell of ``others`` at the place ``cell_of`` says, -1 for none.
+
+    Runs of one number and seed are pairs.
+    """
+    beside = partners(runs, others, cell_of)
+    flown = (runs["result"] != None) & (beside >= 0)  # noqa: E711 - of each element
+    flown[flown] = others["result"][beside[flown]] != None  # noqa: E711
+    told = []
+    for cell, members in zip(cells, by_cell(runs, len(cells)), strict=True):
+        own = members[flown[members]]
+        if len(own):
+            told.append(_paired(cell, reference, runs, own, others, beside[own]))
+    return told
+
+
+def _paired(
+    cell: Cell,
+    reference: str,
+    runs: Rows,
+    own: NDArray[np.int64],
+    others: Rows,
+    other: NDArray[np.int64],
+    prefix: str = "",
+) -> Paired:
+    """The pairs of ``runs[own]`` and ``others[other]``, whose columns have names with a prefix."""
+    arrived, others_arrived = runs["success"][own], others[f"{prefix}success"][other] == 1
+    both = arrived & others_arrived
+    own, other = own[both], other[both]
+    differences = [runs[name][own] - others[f"{prefix}{name}"][other] for name in MEASURES]
+    return Paired(cell, reference, arrived, others_arrived, np.array(differences))
 
 
 def compare(paired: Sequence[Paired]) -> list[Comparison]:
     """Every cell beside its reference, p-values adjusted for how many they are."""
-    counts = [Pairs.of([a.success for a, _ in pairs], [b.success for _, b in pairs]) for *_, pairs in paired]
+    counts = [Pairs.of(one.own, one.others) for one in paired]
     p_values = [mcnemar(count) for count in counts]
     return [
         _comparison(one, count, p_value, adjusted)
@@ -99,30 +124,23 @@ def compare(paired: Sequence[Paired]) -> list[Comparison]:
 
 
 def _comparison(one: Paired, count: Pairs, p_value: float, adjusted: float) -> Comparison:
-    cell, reference, pairs = one
+    pairs = sum(count)
     return Comparison(
-        cell=str(cell),
-        reference=reference,
-        pairs=len(pairs),
+        cell=str(one.cell),
+        reference=one.reference,
+        pairs=pairs,
         successes=count.both + count.first_only,
         reference_successes=count.both + count.second_only,
-        success_difference=(count.first_only - count.second_only) / len(pairs) if pairs else None,
+        success_difference=(count.first_only - count.second_only) / pairs if pairs else None,
         success_interval=newcombe_paired(count),
         p_value=p_value,
         p_adjusted=adjusted,
-        flight_time_s=_difference([(a.flight_time_s, b.flight_time_s) for a, b in _arrived(pairs)]),
-        distance_m=_difference([(a.distance_m, b.distance_m) for a, b in _arrived(pairs)]),
-        energy_kj=_difference([(a.energy_kj, b.energy_kj) for a, b in _arrived(pairs)]),
+        **dict(zip(MEASURES, map(_difference, one.differences), strict=True)),
     )
 
 
-def _arrived(pairs: Sequence[tuple[Quality, Quality]]) -> list[tuple[Quality, Quality]]:
-    return [(a, b) for a, b in pairs if a.success and b.success]
-
-
-def _difference(pairs: Sequence[tuple[float, float]]) -> Difference:
-    values = [a - b for a, b in pairs]
-    if not values:
+def _difference(values: NDArray[np.float64]) -> Difference:
+    if not len(values):
         return Difference(pairs=0)
     return Difference(
         pairs=len(values),
@@ -133,19 +151,6 @@ def _difference(pairs: Sequence[tuple[float, float]]) -> Difference:
     )
 
 
-def _own(result: Result) -> Quality:
-    return Quality(result.success, result.flight_time_s, result.distance_m, result.energy_kj)
-
-
-def _twin(result: Result) -> Quality:
-    return Quality(
-        bool(result.twin_success),
-        result.twin_flight_time_s or 0.0,
-        result.twin_distance_m or 0.0,
-        result.twin_energy_kj or 0.0,
-    )
-
-
 def side_by_side(
     store: Store, campaign: CampaignEntry, other: CampaignEntry | None, against: str | None
 ) -> list[Comparison]:
@@ -153,14 +158,30 @@ def side_by_side(
 
     :raises BadSpecError: if there is no such arm.
     """
-    records = list(store.records(campaign))
+    order, runs = cells(campaign.spec), store.columns(campaign)
     if other is not None:
-        return compare(with_others(records, list(store.records(other)), other.label, lambda cell: cell))
+        theirs = cells(other.spec)
+        return compare(
+            with_others(
+                order, runs, store.columns(other), other.label, _places(theirs, lambda one: one, order)
+            )
+        )
     if against is None:
-        return compare(with_twins(records))
+        return compare(with_twins(order, runs))
     arms = [arm.name for arm in campaign.spec.arms]
     if against not in arms:
         message = f"--against: no arm {against!r}; the arms are {', '.join(arms)}"
         raise BadSpecError(message)
-    others = [record for record in records if record.cell.arm != against]
-    return compare(with_others(others, records, against, lambda cell: cell._replace(arm=against)))
+    match = [
+        -1 if cell.arm == against else place
+        for cell, place in zip(
+            order, _places(order, lambda one: one._replace(arm=against), order), strict=True
+        )
+    ]
+    return compare(with_others(order, runs, runs, against, match))
+
+
+def _places(theirs: Sequence[Cell], match: Callable[[Cell], Cell], cells: Sequence[Cell]) -> list[int]:
+    """Where among ``theirs`` the match of each of ``cells`` is, or -1."""
+    places = {cell: place for place, cell in enumerate(theirs)}
+    return [places.get(match(cell), -1) for cell in cells]

@@ -7,14 +7,38 @@ again, and the flight is nearer its twin (:func:`deviation`) than the same fault
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Literal, get_args
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dashboard.campaigns.flight_record import FlightRecord, Result
+from dashboard.campaigns.spec import Cell
+from dashboard.campaigns.store.columns import Rows, of_records
 
 Effect = Literal["unaffected", "missed", "caught", "recovered"]
 EFFECTS: tuple[Effect, ...] = get_args(Effect)
+
+NO_EFFECT = -1
+"""Without a detector, an injected fault or a golden twin."""
+
+_ALONE = Cell("", "", "")
+
+
+def effects(cells: Sequence[Cell], runs: Rows, unprotected: Mapping[str, str]) -> NDArray[np.int64]:
+    """Which of :data:`EFFECTS` the detector had in each run, or :data:`NO_EFFECT`.
+
+    ``unprotected`` is each arm's arm without a detector: its run of the same number has the same fault.
+    Where there is none, none is recovered.
+    """
+    places = {cell: place for place, cell in enumerate(cells)}
+    bare = [places.get(cell._replace(arm=unprotected.get(cell.arm, "")), -1) for cell in cells]
+    beside = partners(runs, runs, bare)
+    found = _effects(runs)
+    paired = np.flatnonzero((found == EFFECTS.index("caught")) & (beside >= 0))
+    found[paired] = _effects(runs[paired], runs[beside[paired]])
+    return found
 
 
 def effect(flight: Result, unprotected: Result | None = None) -> Effect | None:
@@ -22,41 +46,51 @@ def effect(flight: Result, unprotected: Result | None = None) -> Effect | None:
 
     ``unprotected`` is the same fault's flight without a detector. Where there is none, none is recovered.
     """
-    if flight.alarms is None or flight.injection != "injected" or not flight.twin_digest:
-        return None
-    if not flight.alarms:
-        return "unaffected" if flight.digest == flight.twin_digest else "missed"
-    if not flight.recomputed or unprotected is None or unprotected.injection != "injected":
-        return "caught"
-    return "recovered" if deviation(flight) < deviation(unprotected) else "caught"
+    found = _effects(_alone(flight), _alone(unprotected) if unprotected is not None else None)[0]
+    return EFFECTS[found] if found != NO_EFFECT else None
 
 
-def deviation(flight: Result) -> float:
+def partners(runs: Rows, others: Rows, cell_of: Sequence[int]) -> NDArray[np.int64]:
+    """Of each run, where in ``others`` the run of the same number and seed is, or -1.
+
+    ``cell_of[cell]`` is the cell of ``others`` that a cell of ``runs`` is paired with, -1 for none.
+    """
+    wanted = np.asarray(cell_of, np.int64)[runs["cell"]]
+    order = np.lexsort((others["number"], others["cell"]))
+    keys = others["cell"][order] << 32 | others["number"][order]
+    asked = wanted << 32 | runs["number"]
+    found = np.searchsorted(keys, asked)
+    found[found == len(keys)] = 0
+    if not len(keys):
+        return np.full(len(runs), -1)
+    at = order[found]
+    same = (keys[found] == asked) & (wanted >= 0) & (others["seed"][at] == runs["seed"])
+    return np.where(same, at, -1)
+
+
+def _alone(flight: Result) -> Rows:
+    return of_records([_ALONE], [FlightRecord(_ALONE, 0, 0, "done", 1, "", flight, 0)])
+
+
+def _effects(flights: Rows, beside: Rows | None = None) -> NDArray[np.int64]:
+    """The definition; ``beside`` has the flight without a detector of each."""
+    unaffected, missed, caught, recovered = range(len(EFFECTS))
+    silent = np.where(flights["as_twin"], unaffected, missed)
+    found = np.where(flights["alarms"] == 0, silent, caught)
+    if beside is not None:
+        nearer = (beside["injection"] == "injected") & (_deviation(flights) < _deviation(beside))
+        found[(found == caught) & (flights["recomputed"] > 0) & nearer] = recovered
+    known = ~np.isnan(flights["alarms"]) & (flights["injection"] == "injected") & flights["has_twin"]
+    return np.where(known, found, NO_EFFECT)
+
+
+def _deviation(flights: Rows) -> NDArray[np.float64]:
     """How far a flight's quality is from its golden twin's: the largest part by which one measure differs.
 
     Measures are flight time, distance and energy. Infinite if the mission ended another way than the twin's.
     """
-    if flight.result != flight.twin_result:
-        return math.inf
-    pairs = (
-        (flight.flight_time_s, flight.twin_flight_time_s),
-        (flight.distance_m, flight.twin_distance_m),
-        (flight.energy_kj, flight.twin_energy_kj),
-    )
-    return max(abs(own - twin) / twin if twin else abs(own) for own, twin in pairs)
-
-
-def effects(
-    records: Iterable[FlightRecord], unprotected: Mapping[str, str]
-) -> Iterable[tuple[FlightRecord, Effect]]:
-    """The flights that have an effect, each with it; ``unprotected`` is each arm's arm without a detector."""
-    found = list(records)
-    flown = {(one.cell, one.number): one.result for one in found}
-    for one in found:
-        if one.result is None:
-            continue
-        beside = unprotected.get(one.cell.arm)
-        other = None if beside is None else flown.get((one.cell._replace(arm=beside), one.number))
-        word = effect(one.result, other)
-        if word is not None:
-            yield one, word
+    parts = []
+    for measure in ("flight_time_s", "distance_m", "energy_kj"):
+        own, twin = flights[measure], flights[f"twin_{measure}"]
+        parts.append(np.abs(own - twin) / np.where(twin == 0, 1.0, twin))
+    return np.where(flights["result"] == flights["twin_result"], np.max(parts, axis=0), np.inf)

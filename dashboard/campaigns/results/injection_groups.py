@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from dashboard.campaigns.statistics.proportions import wilson
 from dashboard.campaigns.store.queries import CampaignEntry
-from dashboard.campaigns.store.schema import ResultRow, RunRow
+from dashboard.campaigns.store.schema import OutcomeRow, ResultRow, RunRow
 from dashboard.campaigns.store.store import Store
 from services.models.base import Strict
 from services.models.outcome import InjectionRecord
@@ -45,10 +45,11 @@ def injected_flights(store: Store, found: CampaignEntry) -> list[InjectedFlight]
     """Every injected flight of a campaign, in the order of planning."""
     # PostgreSQL has a type for JSON, SQLite has functions for its text.
     text = store.database.engine.dialect.name == "sqlite"
-    outcome = (sa.type_coerce if text else sa.cast)(ResultRow.outcome, sa.JSON)
+    outcome = (sa.type_coerce if text else sa.cast)(OutcomeRow.outcome, sa.JSON)
     query = (
         sa.select(outcome["injection"].as_string(), ResultRow.success, ResultRow.node_result)
         .join(RunRow, RunRow.id == ResultRow.run_id)
+        .join(OutcomeRow, OutcomeRow.run_id == ResultRow.run_id)
         .where(RunRow.campaign_id == found.id, ResultRow.injection == "injected")
         .order_by(RunRow.id)
     )

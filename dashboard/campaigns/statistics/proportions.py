@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy  # its parts are loaded when they are used: half a second
+from numpy.typing import ArrayLike, NDArray
 
 
 class Interval(NamedTuple):
@@ -35,15 +36,14 @@ class Pairs(NamedTuple):
     neither: int
 
     @classmethod
-    def of(cls, first: Sequence[bool], second: Sequence[bool]) -> Pairs:
+    def of(cls, first: ArrayLike, second: ArrayLike) -> Pairs:
         """Count the outcomes of pairs, given in the same order."""
-        pairs = list(zip(first, second, strict=True))
-        return cls(
-            pairs.count((True, True)),
-            pairs.count((True, False)),
-            pairs.count((False, True)),
-            pairs.count((False, False)),
-        )
+        one, other = np.asarray(first, bool), np.asarray(second, bool)
+        if one.shape != other.shape:
+            message = f"{len(one)} outcomes beside {len(other)}"
+            raise ValueError(message)
+        both, neither = int(np.count_nonzero(one & other)), int(np.count_nonzero(~one & ~other))
+        return cls(both, int(one.sum()) - both, int(other.sum()) - both, neither)
 
 
 EVERYTHING = Interval(0.0, 1.0)
@@ -80,7 +80,7 @@ def clopper_pearson(successes: int, trials: int, level: float = 0.95) -> Interva
     return Interval(float(interval.low), float(interval.high))
 
 
-def median_interval(values: Sequence[float], level: float = 0.95) -> Interval | None:
+def median_interval(values: Sequence[float] | NDArray[np.float64], level: float = 0.95) -> Interval | None:
     """The interval of a median of ``values`` (n,), in their unit; of any continuous distribution.
 
     As many values lie below a median as heads fall (David and Nagaraja, Order Statistics, 7.1). Intervals
@@ -95,9 +95,11 @@ def median_interval(values: Sequence[float], level: float = 0.95) -> Interval | 
     more, less = (1 - 2 * float(scipy.stats.binom.cdf(below, n, 0.5)) for below in (outer - 1, outer))
     beyond = (more - level) / (more - less)
     inwards = (n - outer) * beyond / (outer + (n - 2 * outer) * beyond)
-    ordered = sorted(values)
-    low, high = ordered[outer - 1], ordered[-outer]
-    return Interval(low + inwards * (ordered[outer] - low), high + inwards * (ordered[-outer - 1] - high))
+    ordered = np.sort(values)
+    low, high = float(ordered[outer - 1]), float(ordered[-outer])
+    return Interval(
+        low + inwards * (float(ordered[outer]) - low), high + inwards * (float(ordered[-outer - 1]) - high)
+    )
 
 
 def newcombe(successes: tuple[int, int], trials: tuple[int, int], level: float = 0.95) -> Interval:

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from dashboard.campaigns.spec import CampaignSpec
 from dashboard.campaigns.store.queries import DATABASE_FILE
-from dashboard.campaigns.store.schema import CampaignRow, ResultRow, RunRow
+from dashboard.campaigns.store.schema import CampaignRow, OutcomeRow, ResultRow, RunRow
 from dashboard.campaigns.store.store import Store
 from deploy.errors import BadSpecError, one_line
 from services.models.mission import MissionSpec
@@ -80,8 +80,9 @@ def problems(store: Store) -> Iterator[str]:
 def _problems_of(store: Store, number: int, folder: Path) -> Iterator[str]:
     """What is wrong with the runs of a campaign whose files are in ``folder``."""
     query = (
-        sa.select(RunRow.id, RunRow.phase, RunRow.spec, ResultRow.outcome, ResultRow.artefact)
+        sa.select(RunRow.id, RunRow.phase, RunRow.spec, OutcomeRow.outcome, ResultRow.artefact)
         .join(ResultRow, ResultRow.run_id == RunRow.id, isouter=True)
+        .join(OutcomeRow, OutcomeRow.run_id == ResultRow.run_id, isouter=True)
         .where(RunRow.campaign_id == number)
         .order_by(RunRow.id)
         .execution_options(yield_per=500)

@@ -16,7 +16,7 @@ from pydantic import Field
 from dashboard.campaigns.flight_record import Result
 from dashboard.campaigns.state_machine import CampaignPhase, RunPhase
 from dashboard.campaigns.store.queries import CampaignEntry
-from dashboard.campaigns.store.schema import ResultRow, RunRow
+from dashboard.campaigns.store.schema import OutcomeRow, ResultRow, RunRow
 from dashboard.campaigns.store.store import Store
 from deploy.errors import BadSpecError
 from services.models.base import Strict
@@ -209,8 +209,9 @@ def run_page(store: Store, campaign: CampaignEntry, asked: RunQuery) -> RunListi
 def stored_run(store: Store, campaign: CampaignEntry, number: int) -> StoredRun | None:
     """The run of that id, if it is one of the campaign's."""
     query = (
-        sa.select(RunRow.__table__, *(getattr(ResultRow, name) for name in _RESULT), ResultRow.outcome)
+        sa.select(RunRow.__table__, *(getattr(ResultRow, name) for name in _RESULT), OutcomeRow.outcome)
         .join(ResultRow, ResultRow.run_id == RunRow.id, isouter=True)
+        .join(OutcomeRow, OutcomeRow.run_id == RunRow.id, isouter=True)
         .where(RunRow.campaign_id == campaign.id, RunRow.id == number)
     )
     with store.reading() as connection:

@@ -13,12 +13,13 @@ import sqlalchemy as sa
 from pydantic import ValidationError
 
 from dashboard.campaigns.flight_record import FlightRecord, Result
-from dashboard.campaigns.spec import CampaignSpec, Cell, Run
+from dashboard.campaigns.spec import CampaignSpec, Cell, Run, cells
 from dashboard.campaigns.state_machine import CampaignPhase, CampaignStates, RunState
 from dashboard.campaigns.store import postgresql
+from dashboard.campaigns.store.columns import Rows, RunColumns
 from dashboard.campaigns.store.database import Database
 from dashboard.campaigns.store.folder import default_folder
-from dashboard.campaigns.store.schema import CampaignRow, ResultRow, RunRow
+from dashboard.campaigns.store.schema import CampaignRow, OutcomeRow, ResultRow, RunRow
 from dashboard.campaigns.store.sqlite import SqliteDatabase
 from deploy.errors import BadSpecError, one_line
 from services.models.mission import MissionSpec
@@ -31,6 +32,9 @@ LONGEST_NUMBER = 18
 
 ROWS_AT_ONCE = 1000
 """Of a long table, so many rows are in memory; PostgreSQL's driver would fetch them all."""
+
+NOTHING: sa.ColumnElement[str] = sa.literal_column("''")
+"""Empty text, written out: an index of what is not empty is found only by its own words."""
 
 _RUN_COLUMNS = ("id", "arm", "world", "fault", "number", "seed", "phase", "attempts", "error")
 _RESULT_COLUMNS = [column.name for column in fields(Result)]
@@ -84,6 +88,7 @@ class StoreQueries:
             self.folder = Path(where)
             _make_folder(self.folder)
             self.database = SqliteDatabase(self.folder / DATABASE_FILE)
+        self._columns = RunColumns(self.database)
 
     @property
     def place(self) -> str:
@@ -180,7 +185,7 @@ class StoreQueries:
         query = (
             sa.select(ResultRow.artefact, sa.func.count(), sa.func.sum(ResultRow.artefact_bytes))
             .join(RunRow, RunRow.id == ResultRow.run_id)
-            .where(RunRow.campaign_id == campaign.id, ResultRow.artefact != "")
+            .where(RunRow.campaign_id == campaign.id, ResultRow.artefact != NOTHING)
             .group_by(ResultRow.artefact)
         )
         with self.database.reading() as connection:
@@ -191,7 +196,7 @@ class StoreQueries:
         query = (
             sa.select(ResultRow.replay, sa.func.count())
             .join(RunRow, RunRow.id == ResultRow.run_id)
-            .where(RunRow.campaign_id == campaign.id, ResultRow.replay != "")
+            .where(RunRow.campaign_id == campaign.id, ResultRow.replay != NOTHING)
             .group_by(ResultRow.replay)
         )
         with self.database.reading() as connection:
@@ -221,18 +226,33 @@ class StoreQueries:
                     cell, row.number, row.seed, row.phase, row.attempts, row.error, result, row.id
                 )
 
+    def columns(self, campaign: CampaignEntry) -> Rows:
+        """Every run with its result as an array of :data:`~dashboard.campaigns.store.columns.COLUMNS`.
+
+        In the order of planning. What was read before is kept; only what has changed is read.
+        """
+        return self._columns.read(campaign.id, cells(campaign.spec))
+
     def outcome_size(self) -> float | None:
-        """Mean bytes of a stored outcome."""
-        return self._mean(sa.func.length(ResultRow.outcome))
+        """Mean bytes of the newest outcomes."""
+        newest = sa.select(OutcomeRow.outcome).order_by(OutcomeRow.run_id.desc()).limit(ROWS_AT_ONCE)
+        return self._mean(sa.func.length(newest.subquery().c.outcome))
 
     def wall_s(self, worlds: Sequence[str]) -> float | None:
-        """Mean wall time of a flight that was flown in any of ``worlds``, of all campaigns."""
-        return self._mean(ResultRow.wall_s, RunRow.world.in_(worlds), ResultRow.proof == "")
+        """Mean wall time of the newest flights that were flown in any of ``worlds``, of all campaigns."""
+        newest = (
+            sa.select(ResultRow.wall_s)
+            .join(RunRow, RunRow.id == ResultRow.run_id)
+            .where(RunRow.world.in_(worlds), ResultRow.proof == "")
+            .order_by(ResultRow.run_id.desc())
+            .limit(ROWS_AT_ONCE)
+            .subquery()
+        )
+        return self._mean(newest.c.wall_s)
 
-    def _mean(self, column: Any, *where: Any) -> float | None:
-        query = sa.select(sa.func.avg(column)).join(RunRow, RunRow.id == ResultRow.run_id).where(*where)
+    def _mean(self, column: sa.ColumnElement[Any]) -> float | None:
         with self.database.reading() as connection:
-            return connection.execute(query).scalar()
+            return connection.execute(sa.select(sa.func.avg(column))).scalar()
 
 
 def _make_folder(root: Path) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import sqlalchemy as sa
 
 from dashboard.campaigns.store.database import Database
-from dashboard.campaigns.store.schema import CampaignRow, ResultRow, RunRow
+from dashboard.campaigns.store.schema import CampaignRow, OutcomeRow, ResultRow, RunRow
 
 _NO_FOLDER = (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
 
@@ -57,6 +57,7 @@ def remove(database: Database, campaign: int, folder: Path) -> None:
             raise
     theirs = sa.select(RunRow.id).where(RunRow.campaign_id == campaign)
     with database.writing() as connection:
+        connection.execute(sa.delete(OutcomeRow).where(OutcomeRow.run_id.in_(theirs)))
         connection.execute(sa.delete(ResultRow).where(ResultRow.run_id.in_(theirs)))
         connection.execute(sa.delete(RunRow).where(RunRow.campaign_id == campaign))
         connection.execute(sa.update(CampaignRow).where(CampaignRow.id == campaign).values(spec="", wish=""))

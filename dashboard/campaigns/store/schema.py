@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, MetaData, Text, UniqueConstraint
+from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, MetaData, Text, UniqueConstraint, text
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 _RUN_PHASES = "phase IN ('queued', 'leased', 'running', 'done', 'failed', 'cancelled')"
 _CAMPAIGN_PHASES = "phase IN ('queued', 'running', 'paused', 'done', 'failed', 'cancelled')"
+
+
+def _of_those_that_have(column: str) -> Index:
+    """An index of the rows whose text is not empty."""
+    there = text(f"{column} != ''")
+    return Index(f"ix_results_{column}", column, sqlite_where=there, postgresql_where=there)
 
 
 class Base(DeclarativeBase):
@@ -44,7 +50,10 @@ class CampaignRow(Base):
 
 
 class RunRow(Base):
-    """A run: what to fly and where it stands."""
+    """A run: what to fly and where it stands.
+
+    ``changed`` is the write of its campaign in which the run last changed, counted from 0, its planning.
+    """
 
     __tablename__ = "runs"
     __table_args__ = (
@@ -52,6 +61,7 @@ class RunRow(Base):
         UniqueConstraint("campaign_id", "arm", "world", "fault", "number"),
         Index(None, "campaign_id", "phase"),
         Index(None, "campaign_id", "id"),
+        Index(None, "campaign_id", "changed"),
     )
 
     id: Mapped[int] = mapped_column(primary_key=True)
@@ -66,6 +76,7 @@ class RunRow(Base):
     attempts: Mapped[int]
     lease: Mapped[str]
     error: Mapped[str]
+    changed: Mapped[int] = mapped_column(default=0, server_default="0")
 
 
 class ResultRow(Base):
@@ -75,7 +86,13 @@ class ResultRow(Base):
     """
 
     __tablename__ = "results"
-    __table_args__ = (Index(None, "result"), Index(None, "success", "flight_time_s"))
+    __table_args__ = (
+        Index(None, "result"),
+        Index(None, "success", "flight_time_s"),
+        # Few have files, fewer were flown again.
+        _of_those_that_have("artefact"),
+        _of_those_that_have("replay"),
+    )
 
     run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), primary_key=True, autoincrement=False)
     result: Mapped[str]
@@ -101,7 +118,15 @@ class ResultRow(Base):
     proof: Mapped[str] = mapped_column(default="", server_default="")
     digest: Mapped[str]
     wall_s: Mapped[float]
-    outcome: Mapped[str] = mapped_column(Text)
     artefact: Mapped[str] = mapped_column(default="", server_default="")
     artefact_bytes: Mapped[int] = mapped_column(BigInteger, default=0, server_default="0")
     replay: Mapped[str] = mapped_column(default="", server_default="")
+
+
+class OutcomeRow(Base):
+    """The whole outcome of a run that has a result. Results are read by the thousand, outcomes one by one."""
+
+    __tablename__ = "outcomes"
+
+    run_id: Mapped[int] = mapped_column(ForeignKey("runs.id"), primary_key=True, autoincrement=False)
+    outcome: Mapped[str] = mapped_column(Text)

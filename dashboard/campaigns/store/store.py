@@ -22,7 +22,7 @@ from dashboard.campaigns.spec import CampaignSpec, Run, runs
 from dashboard.campaigns.state_machine import CampaignStates, RunState
 from dashboard.campaigns.store import removal
 from dashboard.campaigns.store.queries import CampaignEntry, StoreQueries
-from dashboard.campaigns.store.schema import CampaignRow, ResultRow, RunRow
+from dashboard.campaigns.store.schema import CampaignRow, OutcomeRow, ResultRow, RunRow
 from deploy.errors import BadSpecError
 from services.models.outcome import Outcome
 
@@ -30,7 +30,12 @@ _RUNS = RunRow.metadata.tables[RunRow.__tablename__]
 _MOVE_RUN = (
     sa.update(_RUNS)
     .where(_RUNS.c.id == sa.bindparam("run"))
-    .values({column.name: sa.bindparam(f"new_{column.name}") for column in fields(RunState)})
+    .values(
+        {
+            **{column.name: sa.bindparam(f"new_{column.name}") for column in fields(RunState)},
+            "changed": sa.bindparam("write"),
+        }
+    )
 )
 
 DesiredState = Literal["", "fly", "pause", "cancel"]
@@ -171,7 +176,6 @@ class Store(StoreQueries):
                     [
                         {
                             "run_id": run,
-                            "outcome": outcome.model_dump_json(by_alias=True),
                             **asdict(Result.of(outcome)),
                             "artefact": files.get(run, FileState()).fate,
                             "artefact_bytes": files.get(run, FileState()).size,
@@ -179,8 +183,18 @@ class Store(StoreQueries):
                         for run, outcome in flown.items()
                     ],
                 )
-            if changed:
-                rows = [{"run": run, **_renamed(states.runs[run])} for run in dict.fromkeys(changed)]
+                connection.execute(
+                    sa.insert(OutcomeRow),
+                    [
+                        {"run_id": run, "outcome": outcome.model_dump_json(by_alias=True)}
+                        for run, outcome in flown.items()
+                    ],
+                )
+            moved = dict.fromkeys([*changed, *flown])
+            if moved:
+                last = sa.select(sa.func.max(RunRow.changed)).where(RunRow.campaign_id == campaign.id)
+                write = int(connection.execute(last).scalar_one()) + 1
+                rows = [{"run": run, "write": write, **_renamed(states.runs[run])} for run in moved]
                 connection.execute(_MOVE_RUN, rows)
             connection.execute(
                 sa.update(CampaignRow)

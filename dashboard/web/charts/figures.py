@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dashboard.campaigns.flight_record import FlightRecord
-from dashboard.campaigns.results.summary import CellSummary, summarise
+from dashboard.campaigns.results.summary import CellSummary, by_cell, summarise
 from dashboard.campaigns.spec import Cell, cells, unprotected_arms
+from dashboard.campaigns.store.columns import Rows
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 
@@ -54,36 +55,34 @@ class Figures:
 
 def figures(store: Store, found: CampaignEntry) -> Figures:
     """Compute the summary and the points of a campaign."""
-    order = cells(found.spec)
-    records = list(store.records(found))
-    return Figures(summarise(order, records, unprotected_arms(found.spec)), flights(order, records))
+    order, runs = cells(found.spec), store.columns(found)
+    return Figures(summarise(order, runs, unprotected_arms(found.spec)), flights(order, runs))
 
 
-def flights(order: Sequence[Cell], records: Sequence[FlightRecord]) -> list[CellFlights]:
+def flights(order: Sequence[Cell], runs: Rows) -> list[CellFlights]:
     """Points of the flights of each cell."""
-    found: dict[Cell, list[FlightRecord]] = {cell: [] for cell in order}
-    for record in records:
-        if record.result is not None:
-            found[record.cell].append(record)
-    most = max(MOST_DOTS // max(len(found), 1), 20)
-    return [_cell(cell, members, most) for cell, members in found.items()]
+    most = max(MOST_DOTS // max(len(order), 1), 20)
+    return [
+        _cell(cell, runs, members, most)
+        for cell, members in zip(order, by_cell(runs, len(order)), strict=True)
+    ]
 
 
-def _cell(cell: Cell, records: Sequence[FlightRecord], most: int) -> CellFlights:
-    results = [record.result for record in records if record.result is not None]
-    arrived = [[getattr(one, name) for name in QUALITIES] for one in results if one.success]
-    boxes = np.quantile(np.array(arrived), (0, 0.25, 0.5, 0.75, 1), axis=0).T if arrived else None
-    step = -(-len(records) // most) or 1
+def _cell(cell: Cell, runs: Rows, members: NDArray[np.int64], most: int) -> CellFlights:
+    flown = members[runs["result"][members] != None]  # noqa: E711 - of each element
+    arrived = flown[runs["success"][flown]]
+    values = np.array([runs[name][arrived] for name in QUALITIES])
+    boxes = np.quantile(values, (0, 0.25, 0.5, 0.75, 1), axis=1).T if values.size else None
+    step = -(-len(flown) // most) or 1
     return CellFlights(
         cell=cell,
-        flown=len(records),
-        results=Counter(one.result for one in results),
+        flown=len(flown),
+        results=Counter(runs["result"][flown]),
         boxes=tuple(tuple(map(float, box)) for box in boxes) if boxes is not None else None,
-        dots=[_dot(record) for record in records[::step]],
+        dots=[_dot(runs[run]) for run in flown[::step]],
     )
 
 
-def _dot(record: FlightRecord) -> Dot:
-    assert record.result is not None  # noqa: S101 - only flown ones are drawn
-    values = tuple(float(getattr(record.result, name)) for name in QUALITIES)
-    return Dot(record.id, record.number, record.result.success, values)
+def _dot(run: np.void) -> Dot:
+    values = tuple(float(run[name]) for name in QUALITIES)
+    return Dot(int(run["id"]), int(run["number"]), bool(run["success"]), values)

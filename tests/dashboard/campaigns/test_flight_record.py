@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Sequence
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
@@ -16,9 +17,11 @@ from dashboard.campaigns.results.compare import compare, with_others, with_twins
 from dashboard.campaigns.results.summary import summarise
 from dashboard.campaigns.spec import Cell
 from dashboard.campaigns.statistics.proportions import wilson
+from dashboard.campaigns.store.columns import Rows, of_records
 from deploy.errors import BadSpecError
 
 GOLDEN, FLIP = Cell("golden", "sparse", ""), Cell("flip", "sparse", "")
+CELLS = [GOLDEN, FLIP]
 
 
 def result(
@@ -64,6 +67,11 @@ def records(cell: Cell, results: Sequence[Result | None]) -> list[FlightRecord]:
     ]
 
 
+def stored(*several: Sequence[FlightRecord]) -> Rows:
+    """Runs of both cells as a store has them."""
+    return of_records(CELLS, [one for some in several for one in some])
+
+
 FLIPS = records(
     FLIP,
     [
@@ -77,7 +85,7 @@ FLIPS = records(
 
 
 def test_every_denominator_is_shown() -> None:
-    golden, flip = summarise([GOLDEN, FLIP], [*records(GOLDEN, [result()] * 4), *FLIPS], {})
+    golden, flip = summarise(CELLS, stored(records(GOLDEN, [result()] * 4), FLIPS), {})
     assert (golden.runs, golden.successes, golden.aimed) == (4, 4, 0)
     assert (flip.planned, flip.runs, flip.failed_to_fly) == (5, 5, 1)
     assert (flip.success_low, flip.success_high) == wilson(3, 4)
@@ -88,10 +96,10 @@ def test_every_denominator_is_shown() -> None:
 
 
 def test_harm_is_counted_of_injected_flights_of_which_it_is_known(tmp_path: Path) -> None:
-    golden, flip = summarise([GOLDEN, FLIP], [*records(GOLDEN, [result()] * 4), *FLIPS], {})
+    golden, flip = summarise(CELLS, stored(records(GOLDEN, [result()] * 4), FLIPS), {})
     assert (golden.harmed, flip.harmed) == (None, 1)
     before = [result(injection="injected", harm=None)]
-    assert summarise([FLIP], records(FLIP, before), {})[0].harmed is None
+    assert summarise(CELLS, stored(records(FLIP, before)), {})[1].harmed is None
     export.write(FLIPS, tmp_path / "runs.csv")
     export.write_summary([flip], tmp_path / "cells.csv")
     with (tmp_path / "runs.csv").open() as file:
@@ -102,12 +110,12 @@ def test_harm_is_counted_of_injected_flights_of_which_it_is_known(tmp_path: Path
 
 
 def test_a_cell_without_flights_knows_nothing() -> None:
-    (one,) = summarise([GOLDEN], [], {})
+    one, _ = summarise(CELLS, stored(), {})
     assert (one.runs, one.success_low, one.success_high, one.flight_time_s) == (0, 0.0, 1.0, None)
 
 
 def test_flights_are_compared_with_their_twins() -> None:
-    (one,) = compare(with_twins([*records(GOLDEN, [result()] * 4), *FLIPS]))
+    (one,) = compare(with_twins(CELLS, stored(records(GOLDEN, [result()] * 4), FLIPS)))
     assert one.cell == "flip / sparse"
     assert (one.pairs, one.successes, one.reference_successes) == (4, 3, 4)
     assert one.success_difference == -0.25
@@ -119,15 +127,22 @@ def test_flights_are_compared_with_their_twins() -> None:
 
 def test_flights_of_other_arms_are_paired_by_number_and_seed() -> None:
     others = records(GOLDEN, [result(time_s=19.0), result(time_s=19.0)])
-    (one,) = compare(with_others(FLIPS, others, "golden", lambda _: GOLDEN))
+    (one,) = compare(with_others(CELLS, stored(FLIPS), stored(others), "golden", [-1, 0]))
     assert one.pairs == 2
     assert one.flight_time_s.median == pytest.approx(4.0)
 
 
+def test_only_flights_of_one_number_and_seed_are_pairs() -> None:
+    others = records(GOLDEN, [result(), None, *[result()] * 3])
+    others[2] = replace(others[2], seed=77)
+    (one,) = compare(with_others(CELLS, stored(FLIPS), stored(others), "golden", [-1, 0]))
+    assert one.pairs == 2  # one of five was not flown in either, and one has another seed
+
+
 def test_p_values_are_adjusted_for_how_many_cells_are_compared() -> None:
     losses = [result(injection="injected", success=False)] * 6
-    alone = compare(with_twins(records(FLIP, losses)))
-    beside = compare(with_twins([*records(FLIP, losses), *records(Cell("b", "sparse", ""), losses)]))
+    alone = compare(with_twins(CELLS, stored(records(FLIP, losses))))
+    beside = compare(with_twins(CELLS, stored(records(FLIP, losses), records(GOLDEN, losses))))
     assert alone[0].p_adjusted == alone[0].p_value == 2 * 0.5**6
     assert beside[0].p_adjusted == 4 * 0.5**6
 
@@ -162,8 +177,8 @@ def test_tables_fit_a_terminal() -> None:
         FLIP, [result(injection="injected", time_s=20.0 + 2 * n, success=n != 3) for n in range(40)]
     )
     for table in (
-        tables.comparison("x-1", compare(with_twins(wide))),
-        tables.campaign("x-1", summarise([FLIP], wide, {})),
+        tables.comparison("x-1", compare(with_twins(CELLS, stored(wide)))),
+        tables.campaign("x-1", summarise(CELLS, stored(wide), {})),
     ):
         paper = Console(file=StringIO(), width=200)
         paper.print(table)

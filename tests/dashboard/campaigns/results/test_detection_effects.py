@@ -8,6 +8,7 @@ from dashboard.campaigns.flight_record import FlightRecord, Result
 from dashboard.campaigns.results.detection_effects import effect
 from dashboard.campaigns.results.summary import summarise
 from dashboard.campaigns.spec import Arm, CampaignSpec, Cell, Condition, unprotected_arms
+from dashboard.campaigns.store.columns import of_records
 from services.models.faults.specification import FaultSpec
 from tests.dashboard.campaigns.test_flight_record import result
 
@@ -66,7 +67,7 @@ def test_a_campaign_counts_them_by_cell_beside_the_same_run_of_the_arm_without_a
         *(flown("watched", 0, CAUGHT), flown("watched", 1, CAUGHT), flown("watched", 2, CAUGHT)),
         *(flown("blind", 0, STRUCK), flown("blind", 1, STRUCK)),
     ]
-    bare, watched, blind = summarise(cells, records, {"watched": "bare", "blind": "bare"})
+    bare, watched, blind = summarise(cells, of_records(cells, records), {"watched": "bare", "blind": "bare"})
     assert bare.effects == {}
     assert watched.effects == {"unaffected": 0, "missed": 0, "caught": 2, "recovered": 1}
     assert blind.effects == {"unaffected": 0, "missed": 2, "caught": 0, "recovered": 0}

@@ -119,7 +119,7 @@ def test_holm_as_r() -> None:
 
 def test_pairs_are_counted_in_order() -> None:
     assert Pairs.of([True, True, False, False], [True, False, True, False]) == (1, 1, 1, 1)
-    with pytest.raises(ValueError, match="zip"):
+    with pytest.raises(ValueError, match="1 outcomes beside 0"):
         Pairs.of([True], [])
 
 

@@ -114,7 +114,7 @@ def test_nothing_is_overwritten(here: Path, tmp_path: Path) -> None:
 def test_what_is_damaged_is_told_and_not_put_back(here: Path, tmp_path: Path) -> None:
     assert told(here) == []
     with closing(Store(here)) as store, store.database.writing() as connection:
-        connection.execute(sa.text("UPDATE results SET outcome = '{}' WHERE run_id = 1"))
+        connection.execute(sa.text("UPDATE outcomes SET outcome = '{}' WHERE run_id = 1"))
         connection.execute(sa.text("UPDATE runs SET phase = 'done' WHERE id = 3"))
     shutil.rmtree(here / "artefacts" / "x-1")
     found = told(here)

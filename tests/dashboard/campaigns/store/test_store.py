@@ -1,28 +1,21 @@
 """The store keeps what it is given, exactly once, in the form that the migrations make."""
 
-import json
 import subprocess
 import sys
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
 import pytest
 import sqlalchemy as sa
-from alembic.autogenerate import compare_metadata
-from alembic.migration import MigrationContext
 
 from dashboard.campaigns.events import Begin, Flown, Leased, RunStarted
-from dashboard.campaigns.results.injection_groups import injected_flights
-from dashboard.campaigns.spec import Arm, CampaignSpec, Condition
+from dashboard.campaigns.spec import Arm, CampaignSpec
 from dashboard.campaigns.state_machine import CampaignStates
-from dashboard.campaigns.store import postgresql
-from dashboard.campaigns.store.database import StoreFullError, StoreLostError, migrate
+from dashboard.campaigns.store.database import StoreFullError, StoreLostError
 from dashboard.campaigns.store.queries import CampaignEntry
-from dashboard.campaigns.store.schema import Base
 from dashboard.campaigns.store.store import BusyError, Store
 from deploy.errors import BadSpecError
-from services.models.faults.specification import FaultSpec, Site, Trigger
+from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from services.models.oracles.harm import HarmEvent
 from services.models.outcome import NO_FLIGHT, InjectionRecord, NodeReport, Outcome
@@ -162,135 +155,6 @@ def test_artefacts_stay_inside(store: Store, tmp_path: Path) -> None:
     with pytest.raises(BadSpecError, match="leads out"):
         store.artefacts(campaign)
     assert store.artefacts(store.create(SPEC)).name == "x-2"
-
-
-def test_the_migrations_make_what_the_schema_says(store: Store) -> None:
-    with store.database.reading() as connection:
-        assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
-
-
-def test_a_store_of_an_older_form_is_brought_up_to_date(where: str, tmp_path: Path) -> None:
-    engine = raw(where, tmp_path)
-    with engine.connect() as connection:
-        migrate(connection, "0001")
-        connection.execute(
-            sa.text(
-                "INSERT INTO campaigns (name, spec, phase, reason, wish, created) "
-                "VALUES ('x', :spec, 'queued', '', '', '2026')"
-            ),
-            {"spec": SPEC.model_dump_json()},
-        )
-        connection.commit()
-    engine.dispose()
-    with closing(Store(where)) as store:
-        assert [one.label for one in store.campaigns()] == ["x-1"]
-        with store.database.reading() as connection:
-            assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
-
-
-def test_of_flights_from_before_harm_is_not_known(where: str, tmp_path: Path) -> None:
-    with closing(Store(where)) as store:
-        flown(store, store.create(SPEC), 1)
-    engine = raw(where, tmp_path)
-    with engine.begin() as connection:
-        for column in ("harm", "harmed_at_s", "proof"):
-            connection.execute(sa.text(f"ALTER TABLE results DROP COLUMN {column}"))
-        connection.execute(sa.text("UPDATE alembic_version SET version_num = '0006'"))
-    engine.dispose()
-    with closing(Store(where)) as store:
-        first = next(store.records(store.find("x-1")))
-        assert first.result is not None
-        assert (first.result.flight_time_s, first.result.harm, first.result.harmed_at_s) == (1.5, None, None)
-
-
-DOCUMENTS = (("campaigns", "id", "spec"), ("runs", "id", "spec"), ("results", "run_id", "outcome"))
-"""Table, key and column of the JSON that is stored."""
-
-
-def older(document: Any) -> Any:
-    """A document as form 0003 had it: a site with ``rung``, a record with ``mode``, ``scouts``."""
-    if isinstance(document, list):
-        return [older(one) for one in document]
-    if not isinstance(document, dict):
-        return document
-    names = {"precision": "rung" if "steps" in document else "mode", "probes": "scouts"}
-    return {names.get(key, key): older(value) for key, value in document.items()}
-
-
-@pytest.mark.parametrize("of_arms", [True, False])
-def test_sites_and_records_of_an_older_form_keep_their_precision(
-    where: str, tmp_path: Path, *, of_arms: bool
-) -> None:
-    trigger = Trigger(invocation=3, site=Site(precision="occurrence", offset=1, hit=2))
-    fault = FaultSpec(target="pid", trigger=trigger)
-    arms = (Arm(name="a"), Arm(name="b", fault=fault if of_arms else None))
-    faults = () if of_arms else (Condition(name="none"), Condition(name="pid", fault=fault))
-    record = InjectionRecord(
-        status="injected",
-        reason='\N{GREEK SMALL LETTER MU} "mode"',
-        precision="rehearsed",
-        node="control",
-        kernel="pid",
-        invocation=3,
-        trigger=trigger,
-        probes=4,
-    )
-    flight = outcome().model_copy(update={"spec": MissionSpec(fault=fault), "injection": record})
-    with closing(Store(where)) as store:
-        campaign = store.create(SPEC.model_copy(update={"arms": arms, "faults": faults}))
-        states, planned = store.states(campaign), store.planned(campaign)
-        for event in (Begin(), Leased("l", (2,), 9.0), RunStarted("l", 2), Flown("l", 2)):
-            states.handle(event)
-        store.write(campaign, states, [2], {2: flight})
-    engine = raw(where, tmp_path)
-    with engine.begin() as connection:
-        before = documents(connection)
-        for (table, key, column), rows in zip(DOCUMENTS, before, strict=True):
-            for number, document in rows:
-                connection.execute(
-                    sa.text(f"UPDATE {table} SET {column} = :text WHERE {key} = :number"),  # noqa: S608 - ours
-                    {"text": json.dumps(older(document)), "number": number},
-                )
-        for column in ("replay", "twin_digest", "alarms", "recomputed", "harm", "harmed_at_s", "proof"):
-            connection.execute(sa.text(f"ALTER TABLE results DROP COLUMN {column}"))
-        connection.execute(sa.text("UPDATE alembic_version SET version_num = '0003'"))
-        assert documents(connection) != before
-    with closing(Store(where)) as store:
-        with engine.connect() as connection:
-            assert documents(connection) == before
-        assert store.planned(store.find("x-1")) == planned
-        assert [one.record for one in injected_flights(store, campaign)] == [record]
-    engine.dispose()
-
-
-def documents(connection: sa.Connection) -> list[list[tuple[int, Any]]]:
-    """What is stored as JSON, by table and key."""
-    found = []
-    for table, key, column in DOCUMENTS:
-        rows = connection.execute(sa.text(f"SELECT {key}, {column} FROM {table} ORDER BY {key}"))  # noqa: S608
-        found.append([(number, json.loads(text)) for number, text in rows])
-    return found
-
-
-def raw(where: str, tmp_path: Path) -> sa.Engine:
-    """The database of a store that is not open."""
-    if "://" in where:
-        url = postgresql.parse(where)
-        plain = url.set(drivername="postgresql+pg8000", query={})
-        return sa.create_engine(plain, connect_args=postgresql.connect_arguments(url))
-    (tmp_path / "store").mkdir(exist_ok=True)
-    return sa.create_engine(f"sqlite:///{tmp_path / 'store' / 'zenfi.sqlite'}")
-
-
-def test_a_store_of_a_newer_zenfi_is_left_alone(where: str, tmp_path: Path) -> None:
-    with closing(Store(where)):
-        pass
-    engine = raw(where, tmp_path)
-    with engine.begin() as connection:
-        connection.execute(sa.text("UPDATE alembic_version SET version_num = '9999'"))
-    engine.dispose()
-    with pytest.raises(BadSpecError, match="newer"):
-        Store(where)
 
 
 def test_a_store_is_its_users_alone(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from dashboard.api.service import Service
 from dashboard.campaigns.flight_record import FlightRecord, Result
 from dashboard.campaigns.results.injection_groups import InjectedFlight
 from dashboard.campaigns.spec import Arm, CampaignSpec, Cell
+from dashboard.campaigns.store.columns import of_records
 from dashboard.campaigns.store.listing import RunQuery
 from dashboard.campaigns.store.store import Store
 from dashboard.web.charts import figures
@@ -156,7 +157,7 @@ def test_strikes_are_put_into_groups_once_for_all_who_ask() -> None:
 def test_boxes_are_of_the_successful_flights_and_results_of_all() -> None:
     times = (10.0, 20.0, 30.0, 40.0, 50.0)
     records = [record(n, time_s=t) for n, t in enumerate(times)] + [record(5, success=False, time_s=99.0)]
-    (one,) = figures.flights([CELL], records)
+    (one,) = figures.flights([CELL], of_records([CELL], records))
     assert one.boxes is not None
     assert one.boxes[0] == times
     assert one.results == Counter(success=5, collision=1)
@@ -165,7 +166,7 @@ def test_boxes_are_of_the_successful_flights_and_results_of_all() -> None:
 
 def test_of_many_flights_evenly_chosen_ones_are_drawn_and_the_box_has_all() -> None:
     records = [record(n, time_s=float(n)) for n in range(10_000)]
-    (one,) = figures.flights([CELL], records)
+    (one,) = figures.flights([CELL], of_records([CELL], records))
     assert one.flown == 10_000
     assert figures.MOST_DOTS / 2 <= len(one.dots) <= figures.MOST_DOTS
     assert one.boxes is not None
@@ -174,6 +175,6 @@ def test_of_many_flights_evenly_chosen_ones_are_drawn_and_the_box_has_all() -> N
 
 
 def test_a_cell_without_a_success_has_no_box() -> None:
-    (one,) = figures.flights([CELL], [record(0, success=False)])
+    (one,) = figures.flights([CELL], of_records([CELL], [record(0, success=False)]))
     assert one.boxes is None
-    assert figures.flights([CELL], [])[0].flown == 0
+    assert figures.flights([CELL], of_records([CELL], []))[0].flown == 0
