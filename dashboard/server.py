@@ -50,6 +50,7 @@ def serve(where: str, host: str, port: int, slots: int | None, stacks: Sequence[
     programs = named(stacks)
     with contextlib.ExitStack() as stack:
         store = stack.enter_context(contextlib.closing(Store(where)))
+        store.database.refuse_read_only()
         token = _token(store, host)
         listening = stack.enter_context(contextlib.closing(_listen(host, port)))
         event_bus = EventBus()

@@ -31,6 +31,8 @@ class Database(ABC):
 
     file: tuple[int, int] | None = None
     """Device and inode of the one file that it is, if it is one."""
+    read_only = False
+    """Whether it was opened only to be read."""
 
     def __init__(self, engine: sa.Engine, place: str) -> None:
         self.place = place
@@ -86,21 +88,46 @@ class Database(ABC):
             message = f"{self.place}: {error.strerror or error}"
             raise StoreLostError(message) from error
 
+    def refuse_read_only(self) -> None:
+        """Before anything is changed.
+
+        :raises BadSpecError: if it was opened only to be read.
+        """
+        if self.read_only:
+            message = f"store {self.place}: it may only be read: copy it (zenfi store backup) to change it"
+            raise BadSpecError(message)
+
     def upgrade(self) -> None:
         """Bring the tables to the newest form; nobody else may do so meanwhile.
 
         :raises BadSpecError: if they are of a newer zenfi.
         """
         with self.engine.connect() as connection:
-            found = None
-            if sa.inspect(connection).has_table("alembic_version"):
-                found = connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar()
-            if found is not None and found > REVISION:
-                message = f"store {self.place}: written by a newer zenfi (form {found})"
-                raise BadSpecError(message)
-            if found != REVISION:
+            if self._form(connection) != REVISION:
                 connection.rollback()
                 migrate(connection)
+
+    def refuse_older(self) -> None:
+        """Of a store that may only be read.
+
+        :raises BadSpecError: if its tables are not of the newest form.
+        """
+        with self.engine.connect() as connection:
+            if (found := self._form(connection)) != REVISION:
+                message = (
+                    f"store {self.place}: of an older form ({found}), and it may only be read: open a copy"
+                )
+                raise BadSpecError(message)
+
+    def _form(self, connection: sa.Connection) -> str | None:
+        """The form of the tables, None if there are none."""
+        found = None
+        if sa.inspect(connection).has_table("alembic_version"):
+            found = connection.execute(sa.text("SELECT version_num FROM alembic_version")).scalar()
+        if found is not None and found > REVISION:
+            message = f"store {self.place}: written by a newer zenfi (form {found})"
+            raise BadSpecError(message)
+        return found
 
 
 def migrate(connection: sa.Connection, revision: str = "head") -> None:

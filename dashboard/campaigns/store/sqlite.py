@@ -1,4 +1,7 @@
-"""The store in one SQLite file: WAL, locks that are files, a quota in pages."""
+"""The store in one SQLite file: WAL, locks that are files, a quota in pages.
+
+What may not be written to is opened to be read: an archive, a snapshot, a colleague's store.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import sqlalchemy as sa
 
@@ -33,11 +37,16 @@ class SqliteDatabase(Database):
     """
 
     def __init__(self, path: Path) -> None:
-        super().__init__(sa.create_engine(f"sqlite:///{path}"), str(path))
         self._path = path
         self._max_pages = 0
+        self.read_only = path.exists() and not (os.access(path, os.W_OK) and os.access(path.parent, os.W_OK))
+        super().__init__(sa.create_engine(_url(path) if self.read_only else f"sqlite:///{path}"), str(path))
         sa.event.listen(self.engine, "connect", self._configure)
         try:
+            if self.read_only:
+                self.refuse_older()
+                self.file = _identity(path)
+                return
             # Two processes may meet at a store that is not made yet.
             _make(path.with_suffix(".lock"))
             with path.with_suffix(".lock").open("w") as lock:
@@ -63,6 +72,7 @@ class SqliteDatabase(Database):
     @contextmanager
     def writing(self, campaign: int | None = None) -> Iterator[sa.Connection]:
         """A transaction; what was written into a file that nobody will find again was not written."""
+        self.refuse_read_only()
         self._refuse_another_file()
         with super().writing(campaign) as connection:
             yield connection
@@ -86,7 +96,12 @@ class SqliteDatabase(Database):
     def lock(self, campaign: int) -> Iterator[bool]:
         """Hold a campaign's lock, if it was free."""
         path = self._path.with_name(f"{campaign}.lock")
-        descriptor = os.open(path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+        try:
+            flags = os.O_RDONLY if self.read_only else os.O_CREAT | os.O_RDWR
+            descriptor = os.open(path, flags | os.O_CLOEXEC, 0o600)
+        except FileNotFoundError:  # of one that may only be read: it was never flown
+            yield True
+            return
         try:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -108,9 +123,16 @@ class SqliteDatabase(Database):
 
     def _configure(self, connection: Any, _: object) -> None:
         for pragma in PRAGMAS:
-            connection.execute(f"PRAGMA {pragma}")
+            if not (self.read_only and pragma.startswith("journal_mode")):
+                connection.execute(f"PRAGMA {pragma}")
         if self._max_pages:
             connection.execute(f"PRAGMA max_page_count={self._max_pages}")
+
+
+def _url(path: Path) -> str:
+    """Where to open a file to be read. SQLite's notes of who reads are beside it, if somebody has it open."""
+    alone = "" if path.with_name(f"{path.name}-wal").exists() else "&immutable=1"
+    return f"sqlite:///file:{quote(str(path))}?mode=ro{alone}&uri=true"
 
 
 def _make(path: Path) -> None:

@@ -85,6 +85,7 @@ class Store(StoreQueries):
 
         :raises BadSpecError: if it cannot be made, or lies outside the folder of artefacts, by a link.
         """
+        self.database.refuse_read_only()
         try:
             folder = self.folder_of(campaign.spec, campaign.label)
             folder.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,6 @@
 """Another user of the machine gets at nothing of a service that flies: no file, no socket, no process."""
 
 import ctypes
-import json
 import os
 import socket
 import stat
@@ -14,30 +13,12 @@ from dashboard.client import Client
 from services.models.mission import Limits, MissionSpec
 from tests.conftest import descendants
 from tests.dashboard.api.conftest import Serving
-from tests.dashboard.api.test_peers import NOBODY, needs_root
+from tests.dashboard.api.test_peers import needs_root
+from tests.fixtures.another_user import as_nobody
 
 PLACES = (Path("/tmp"), Path("/dev/shm"))  # noqa: S108 - where everybody may look
 PTRACE_SEIZE = 0x4206
 LONG = MissionSpec(mission="scanning", limits=Limits(mission_time_s=60))
-
-
-def as_nobody(probe: Callable[[], list[str]]) -> list[str]:
-    """What a function finds as a user who has no rights; it can import nothing there."""
-    reading, writing = os.pipe()
-    if (child := os.fork()) == 0:
-        try:
-            os.setgroups([])
-            os.setresgid(NOBODY, NOBODY, NOBODY)
-            os.setresuid(NOBODY, NOBODY, NOBODY)
-            os.write(writing, json.dumps(probe()).encode())
-        finally:
-            os._exit(0)
-    os.close(writing)
-    with open(reading, "rb") as file:  # noqa: PTH123 - of a descriptor
-        told = file.read()
-    os.waitpid(child, 0)
-    found: list[str] = json.loads(told)
-    return found
 
 
 def opened(path: Path, kind: int) -> Iterator[str]:

@@ -10,8 +10,7 @@ import pytest
 
 from dashboard.api.peers import peer_uid
 from tests.dashboard.api.conftest import Serving
-
-NOBODY = 65_534
+from tests.fixtures.another_user import NOBODY
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be somebody else")
 
