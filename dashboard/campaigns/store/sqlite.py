@@ -40,7 +40,7 @@ class SqliteDatabase(Database):
         self._path = path
         self._max_pages = 0
         self.read_only = path.exists() and not (os.access(path, os.W_OK) and os.access(path.parent, os.W_OK))
-        super().__init__(sa.create_engine(_url(path) if self.read_only else f"sqlite:///{path}"), str(path))
+        super().__init__(sa.create_engine(_url(path, read_only=self.read_only)), str(path))
         sa.event.listen(self.engine, "connect", self._configure)
         try:
             if self.read_only:
@@ -51,6 +51,7 @@ class SqliteDatabase(Database):
             _make(path.with_suffix(".lock"))
             with path.with_suffix(".lock").open("w") as lock:
                 fcntl.flock(lock, fcntl.LOCK_EX)
+                _refuse_half_a_store(path)
                 _make(path)
                 self.upgrade()
                 self.file = _identity(path)
@@ -64,7 +65,7 @@ class SqliteDatabase(Database):
 
     @contextmanager
     def reading(self) -> Iterator[sa.Connection]:
-        """A connection that only reads; of a file that is gone SQLite would make an empty one."""
+        """A connection that only reads."""
         self._refuse_another_file()
         with super().reading() as connection:
             yield connection
@@ -81,11 +82,14 @@ class SqliteDatabase(Database):
     def _refuse_another_file(self) -> None:
         """Raise StoreLostError unless the store's path still names the file that we opened."""
         if _identity(self._path) != self.file:
-            message = (
-                f"store {self.place}: the file was removed or replaced while it was in use: put it back, or "
-                "start anew"
-            )
-            raise StoreLostError(message)
+            raise self._lost()
+
+    def _lost(self) -> StoreLostError:
+        message = (
+            f"store {self.place}: the file was removed or replaced while it was in use: put it back, or "
+            "start anew"
+        )
+        return StoreLostError(message)
 
     def limit(self, disk_mb: int) -> None:
         """Let the file grow to ``disk_mb`` and no further."""
@@ -116,6 +120,8 @@ class SqliteDatabase(Database):
         return self.engine.begin()
 
     def _meaning(self, error: sa.exc.DBAPIError) -> StoreError | None:
+        if _identity(self._path) != self.file:  # since we looked
+            return self._lost()
         if not any(words in str(error.orig) for words in _FULL):
             return None
         message = f"{self.place}: {error.orig}"
@@ -129,10 +135,13 @@ class SqliteDatabase(Database):
             connection.execute(f"PRAGMA max_page_count={self._max_pages}")
 
 
-def _url(path: Path) -> str:
-    """Where to open a file to be read. SQLite's notes of who reads are beside it, if somebody has it open."""
-    alone = "" if path.with_name(f"{path.name}-wal").exists() else "&immutable=1"
-    return f"sqlite:///file:{quote(str(path))}?mode=ro{alone}&uri=true"
+def _url(path: Path, *, read_only: bool) -> str:
+    """Where to open a file. Of one that is gone a connection is to fail, not to make an empty one.
+
+    SQLite's notes of who reads are beside it, if somebody has it open.
+    """
+    alone = "&immutable=1" if read_only and not path.with_name(f"{path.name}-wal").exists() else ""
+    return f"sqlite:///file:{quote(str(path))}?mode={'ro' if read_only else 'rw'}{alone}&uri=true"
 
 
 def _make(path: Path) -> None:
@@ -142,6 +151,22 @@ def _make(path: Path) -> None:
     """
     with contextlib.suppress(FileExistsError):
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o600))
+
+
+def _refuse_half_a_store(path: Path) -> None:
+    """Refuse to make a store beside what was written last to one whose file is elsewhere.
+
+    SQLite would take that for the new file's, and remove it.
+
+    :raises BadSpecError: if only that is there.
+    """
+    log = path.with_name(f"{path.name}-wal")
+    if log.exists() and not path.exists():
+        message = (
+            f"store {path}: the file is gone, but not {log.name}, what was written last: put it back, "
+            "or remove that, too"
+        )
+        raise BadSpecError(message)
 
 
 def _identity(path: Path) -> tuple[int, int] | None:

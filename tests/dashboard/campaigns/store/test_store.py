@@ -19,6 +19,7 @@ from services.models.faults.specification import FaultSpec
 from services.models.mission import MissionSpec
 from services.models.oracles.harm import HarmEvent
 from services.models.outcome import NO_FLIGHT, InjectionRecord, NodeReport, Outcome
+from tests.dashboard.command import zenfi
 
 SPEC = CampaignSpec(name="x", runs=3, arms=(Arm(name="a"), Arm(name="b", fault=FaultSpec(target="pid"))))
 
@@ -199,3 +200,30 @@ def test_what_is_no_store_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(BadSpecError, match="--store"):
         Store(tmp_path / "file" / "store")
+
+
+def test_beside_a_store_whose_file_is_away_none_is_made(tmp_path: Path) -> None:
+    """SQLite would remove what was written last, which is in a file of its own, with the new one."""
+    file, away = tmp_path / "zenfi.sqlite", tmp_path / "away"
+    with closing(Store(tmp_path)) as store:
+        kept = store.create(SPEC).label
+        file.rename(away)
+        answer = zenfi("campaign", "list", "--store", tmp_path)
+        assert (answer.returncode, answer.stdout) == (2, "")
+        assert "zenfi.sqlite-wal" in answer.stderr
+        assert not file.exists()
+        away.rename(file)
+        answer = zenfi("campaign", "list", "--store", tmp_path, "--json")
+        assert json.loads(answer.stdout)["campaign"] == kept
+
+
+def test_a_file_that_goes_while_it_is_opened_is_not_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with closing(Store(tmp_path)) as store:
+        store.database.close()
+        monkeypatch.setattr(store.database, "_refuse_another_file", lambda: None)  # it had looked before
+        (tmp_path / "zenfi.sqlite").unlink()
+        with pytest.raises(StoreLostError, match="removed or replaced"):
+            store.campaigns()
+        assert not (tmp_path / "zenfi.sqlite").exists()
