@@ -1,5 +1,6 @@
 """Runs on this machine's processors: a failure of ours is loud."""
 
+import os
 import subprocess
 import sys
 import time
@@ -11,9 +12,12 @@ from dashboard.campaigns.events import Lost, RunStarted
 from dashboard.campaigns.executors import local
 from dashboard.campaigns.executors.executor import ExecutorReport, ExecutorTask
 from dashboard.campaigns.spec import Run
+from dashboard.campaigns.state_machine import CampaignStates
 from deploy.errors import InfrastructureError
 from services.models.mission import MissionSpec
 from tests.bench.fly_all import fly_all
+from tests.dashboard.campaigns.executors.flights import LEASE_S, Outcomes, at_the_nth_beginning, flown
+from tests.dashboard.campaigns.test_durability import fork_servers, kill_one_of, side_servers
 
 RUN = Run("golden", 0, MissionSpec())
 
@@ -92,3 +96,17 @@ def test_a_silent_worker_loses_its_lease_and_its_process(monkeypatch: pytest.Mon
     finally:
         executor.close()
     assert all(process.poll() is not None for process in started)
+
+
+@pytest.mark.parametrize("servers", [fork_servers, pytest.param(side_servers, marks=pytest.mark.soak)])
+def test_a_lost_fork_server_is_a_lost_worker_and_costs_an_attempt(
+    here: Outcomes, servers: Callable[[int], list[int]]
+) -> None:
+    """The worker lives on, and could fly nothing more: each of its runs would fail at once."""
+
+    def kill(_: CampaignStates, __: int) -> None:
+        kill_one_of(servers, os.getpid())
+
+    outcomes, attempts = flown(local.LocalExecutor(1, LEASE_S), at_the_nth_beginning(3, kill))
+    assert outcomes == here
+    assert sorted(attempts) == [1] * (len(here) - 1) + [2]
