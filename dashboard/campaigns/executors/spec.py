@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from services.models.base import Strict
 
 
-class LocalSpec(Strict):
+class _Form(Strict):
+    """One of several forms: its ``kind`` is also told by who leaves out what was not set."""
+
+    def model_post_init(self, _: Any, /) -> None:
+        self.model_fields_set.add("kind")
+
+
+class LocalSpec(_Form):
     """On this machine's processors."""
 
     kind: Literal["local"] = "local"
 
 
-class DaskSpec(Strict):
+class DaskSpec(_Form):
     """On a Dask cluster that is there already; certificates for ``tls`` come from Dask's configuration."""
 
     kind: Literal["dask"] = "dask"
     address: str = Field(pattern=r"^(tcp|tls)://[^\s/]+:\d{1,5}$", description="of its scheduler")
 
 
-class SlurmSpec(Strict):
+class SlurmSpec(_Form):
     """As SLURM jobs, each of which flies a shard in one slot and writes into ``folder``."""
 
     kind: Literal["slurm"] = "slurm"

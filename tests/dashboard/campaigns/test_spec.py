@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from dashboard.campaigns.spec import CampaignSpec, Cell, cells, counted, load_campaign, runs
+from dashboard.campaigns.executors.spec import DaskSpec
+from dashboard.campaigns.spec import Arm, CampaignSpec, Cell, cells, counted, load_campaign, runs
 from deploy.errors import BadSpecError
 
 GOLDEN = {"name": "golden"}
@@ -146,3 +147,10 @@ def test_a_histogram_is_kept_with_its_content(place: str, tmp_path: Path) -> Non
 
 def test_presets_can_be_flown() -> None:
     assert load_campaign("demo").name == "demo"
+
+
+def test_where_it_is_flown_goes_with_what_was_set_alone() -> None:
+    """As the client sends it."""
+    at = DaskSpec(address="tcp://127.0.0.1:8786")
+    campaign = CampaignSpec(name="x", runs=1, arms=(Arm(name="a"),), executor=at)
+    assert CampaignSpec.model_validate_json(campaign.model_dump_json(exclude_unset=True)) == campaign
