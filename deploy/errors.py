@@ -14,7 +14,7 @@ class InfrastructureError(Exception):
 
 
 class DisturbedFlightError(InfrastructureError):
-    """A process of a flight was ended from outside: the flight has no outcome and is to be flown again."""
+    """A process or a file of a flight was ended or removed from outside: it is to be flown again."""
 
 
 def one_line(error: ValidationError) -> str:

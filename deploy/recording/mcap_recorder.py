@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
-from deploy.errors import InfrastructureError
+from deploy.errors import DisturbedFlightError, InfrastructureError
 from deploy.recording.derived import DERIVED, DerivedMessages
 from deploy.recording.mcap_file import McapFile
 from deploy.recording.ordering import TYPES, SentMessage, in_order
@@ -76,6 +76,7 @@ class McapRecorder:
     def finish(self, outcome: Outcome) -> RecordingReport:
         """Write the outcome and close the file; then it can be opened.
 
+        :raises DisturbedFlightError: if somebody has removed the file.
         :raises InfrastructureError: if the infrastructure failed. A full disk is stated in the report.
         """
         self._queue.put(outcome)
@@ -86,6 +87,9 @@ class McapRecorder:
         elif self._problem is not None:
             message = f"recording {self._path}: {self._problem!r}"
             raise InfrastructureError(message) from self._problem
+        if not problem and not self._path.exists():
+            message = f"recording {self._path}: the file was removed while it was written"
+            raise DisturbedFlightError(message)
         size = self._path.stat().st_size if self._path.exists() else 0
         return RecordingReport(
             messages=self._written, dropped=self._dropped, size_bytes=size, problem=problem

@@ -7,11 +7,13 @@ from pathlib import Path
 import pytest
 
 from dashboard.analysis.recordings_reader import open_run
+from deploy.errors import DisturbedFlightError
 from deploy.recording import mcap_recorder
 from deploy.recording.mcap_recorder import McapRecorder
 from deploy.recording.ordering import SentMessage
 from services.bus.horizon import Stamped
 from services.models.mission import MissionSpec
+from tests.conftest import wait_until
 from tests.dashboard.campaigns.store.test_store import outcome
 
 SPEC = MissionSpec(seed=7)
@@ -59,3 +61,13 @@ def test_dropped_messages_leave_a_gap_in_the_sequence(
     assert (report.messages, report.dropped, report.problem) == (2, 1, "")
     assert [message.seq for message in open_run(path).messages["depth"]] == [0, 2]
     assert open_run(path).about["dropped messages"] == "1"
+
+
+def test_a_recording_that_is_removed_meanwhile_is_told_as_a_disturbance(tmp_path: Path) -> None:
+    path = tmp_path / "gone.mcap"
+    with McapRecorder(path, SPEC) as one:
+        one.offer(batch(0))
+        wait_until(path.exists)
+        path.unlink()
+        with pytest.raises(DisturbedFlightError, match=r"gone\.mcap: the file was removed"):
+            one.finish(outcome())
