@@ -153,7 +153,7 @@ class _Mission:
         """Handle messages and processes until all up to the mission's end is recorded."""
         bus, recorder, end = self._bus, self._bus.recorder, self._end
         last_look = bus.last_message_s = time.monotonic()
-        quiet_s = 0.0
+        quiet_s = stopped_s = 0.0
         while end.result is None or not recorder.complete(end.time_ns):
             if bus.take_in(POLL_S):
                 end.look(recorder)
@@ -161,7 +161,14 @@ class _Mission:
                     _offer(taps, order.take(end.time_ns))
             since_s = time.monotonic() - last_look
             if since_s > POLL_S:
-                quiet_s = quiet_s + min(since_s, LOOK_S) if bus.last_message_s <= last_look else 0.0
+                if bus.last_message_s > last_look:
+                    quiet_s = stopped_s = 0.0
+                elif stopped := self._supervisor.stopped():
+                    # Who goes on in time has all the time that others have.
+                    quiet_s, stopped_s = 0.0, stopped_s + min(since_s, LOOK_S)
+                    self._refuse_stopped(stopped, stopped_s)
+                else:
+                    quiet_s += min(since_s, LOOK_S)
                 last_look += since_s
                 self._restarts.handle_deaths()
                 self._supervisor.kill_hung()
@@ -171,18 +178,24 @@ class _Mission:
             if end.result == "stack_failure":
                 return
 
+    @staticmethod
+    def _refuse_stopped(stopped: Sequence[str], for_s: float) -> None:
+        """Give a flight up that somebody has stopped for long.
+
+        :raises DisturbedFlightError: if so.
+        """
+        if for_s > STALL_S:
+            message = f"{', '.join(stopped)} was stopped from outside"
+            raise DisturbedFlightError(message)
+
     def _handle_stall(self) -> None:
         """Kill the process that keeps all others waiting without computing.
 
         That is the node which the fault strikes, in the life in which it does: one that was restarted since
         waits through a failure of ours.
 
-        :raises DisturbedFlightError: if one was stopped from outside.
         :raises InfrastructureError: if none is to blame.
         """
-        if stopped := self._supervisor.stopped():
-            message = f"{', '.join(stopped)} was stopped from outside"
-            raise DisturbedFlightError(message)
         members = self._supervisor.members
         if any(one.alive and one.stats.page["gated"] for one in members.values()):
             return  # probes are under way; should the injector die of it, that is noticed

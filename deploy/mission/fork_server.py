@@ -22,6 +22,7 @@ from injector.reproducible import launch
 from services.bus.session import BusAddress
 from services.runtime.setup import NodeSetup
 from services.system import plug_ins
+from services.system.process_stat import pid_of
 from services.system.shared_stats import SharedStats
 
 _GONE = "the fork server is gone"
@@ -166,6 +167,11 @@ class ForkServer:
             os.close(self._reapers.pop(pid))
         # A reaper says what has failed; one that ended without a word was killed.
         return [self._exits.pop(pid, Exited(pid, EXIT_REAPER, by_another=True)) for pid in ended]
+
+    def reaper_of(self, pid: int) -> int:
+        """The pid of a process's reaper, of a node its proxy; -1 if it has ended."""
+        descriptor = self._reapers.get(pid)
+        return pid_of(descriptor) if descriptor is not None else -1
 
     def discard(self, pid: int) -> None:
         """Kill a process and its reaper, which would wait for all of its messages to be recorded."""

@@ -217,10 +217,11 @@ class Supervisor:
             member.kill()
 
     def stopped(self) -> list[str]:
-        """The names of the processes that somebody has stopped (SIGSTOP)."""
-        return [
-            member.process.name for member in self.members.values() if member.alive and is_stopped(member.pid)
-        ]
+        """The processes that somebody has stopped (SIGSTOP): nodes and sidecars by name, and proxies."""
+        alive = [member for member in self.members.values() if member.alive]
+        nodes = [member.process.name for member in alive if is_stopped(member.pid)]
+        proxies = [one.process.name for one in alive if is_stopped(self._server.reaper_of(one.pid))]
+        return nodes + [f"the proxy of {name}" for name in proxies]
 
     def end(self, grace_s: float, meanwhile: Callable[[], object]) -> None:
         """Wait for the members to end by themselves, calling ``meanwhile`` again and again; kill the rest.

@@ -41,9 +41,14 @@ def listed_pid(pid: int) -> int:
     """
     descriptor = os.pidfd_open(pid)
     try:
-        info = Path(f"/proc/self/fdinfo/{descriptor}").read_text()
+        return pid_of(descriptor)
     finally:
         os.close(descriptor)
+
+
+def pid_of(descriptor: int) -> int:
+    """The number under which /proc lists the process of a pidfd; -1 if it is gone."""
+    info = Path(f"/proc/self/fdinfo/{descriptor}").read_text()
     return int(info.partition("\nPid:")[2].split(maxsplit=1)[0])
 
 

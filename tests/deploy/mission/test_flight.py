@@ -11,6 +11,7 @@ from deploy.errors import DisturbedFlightError
 from deploy.mission import flight
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import Limits, MissionSpec
 from services.system.signal_names import signal_name
 from tests.conftest import descendants, folders, forked, segments
@@ -116,6 +117,22 @@ def test_a_node_that_somebody_stops_makes_no_outcome(
     monkeypatch.setattr(flight, "STALL_S", 0.5)
     with pytest.raises(DisturbedFlightError, match="planning was stopped from outside"):
         fly_and_kill(server, SPEC, "planning", signal.SIGSTOP)
+    assert_nothing_is_left(server)
+
+
+def test_a_proxy_that_somebody_stops_makes_no_outcome(
+    server: ForkServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The struck node is silent as well, and not to blame."""
+    monkeypatch.setattr(flight, "STALL_S", 2.0)
+    never = FaultSpec(target="pid", trigger=Trigger(invocation=10**9))
+
+    def stop() -> None:
+        proxies = [pid for pid, name in descendants(os.getpid()).items() if name == "proxy-planning"]
+        os.kill(proxies[0], signal.SIGSTOP)
+
+    with pytest.raises(DisturbedFlightError, match="the proxy of planning was stopped from outside"):
+        fly_and(server, SPEC.model_copy(update={"fault": never}), stop)
     assert_nothing_is_left(server)
 
 
