@@ -27,7 +27,7 @@ from services.models.outcome import Outcome
 from services.runtime import rng
 from tests.chaos.deployment import PATIENCE_S, Deployment, Standing, StoreKind, deployed
 from tests.chaos.disturbances import DISK, FILES, Chaos, Disturbance, Places, small_disk
-from tests.chaos.processes import adopting, bury, left_over
+from tests.chaos.processes import adopting, bury, left_over, segments
 from tests.dashboard.command import ZENFI
 
 Verdict = Literal["equal", "not flown", "differing", "lost"]
@@ -36,7 +36,7 @@ OF_A_RUN = {"wall_s", "proof"}
 """What of a result tells of the run and not of the flight."""
 
 DISK_MB = 400
-SOON, EACH = 4, 0.5
+SOON, EACH = 1, 0.5
 """So many disturbances as soon as there is something to disturb, and for each run that has ended."""
 
 CLASSES = {
@@ -144,7 +144,7 @@ def fly_under_chaos(
     """
     begin_s = time.monotonic()
     with adopting(), tempfile.TemporaryDirectory(prefix="zenfi-chaos-") as name:
-        folder = Path(name)
+        folder, before = Path(name), segments()
         folder.chmod(0o711)
         with small_disk(folder / "disk", DISK_MB) as disk, deployed(folder, disk, kind, dask=dask) as one:
             places = Places(disk, one.store, folder / "tmp")
@@ -159,7 +159,7 @@ def fly_under_chaos(
                 chaos.close()
             hard, differences = _kept(one, label)
         bury([])
-        left = left_over(folder)
+        left = left_over(folder, before)
     by_key = {(record.cell, record.number): record for record in hard}
     verdicts: dict[int, Verdict] = {}
     for ours in calm:

@@ -14,7 +14,7 @@ from deploy.mission.fork_protocol import SIDE_SERVER
 from injector.reproducible.pid_namespace import CALLER
 from services.system.libc import libc
 from services.system.process_stat import process_stat
-from tests.conftest import descendants, segments
+from tests.conftest import descendants
 
 SIDECARS = [name for name, process in STACK.items() if process.sidecar]
 NAMED = {
@@ -26,6 +26,7 @@ NAMED = {
 }
 """The class of a process whose command line has that word."""
 
+SHARED = "/dev/shm"  # noqa: S108 - where the kernel has them
 _SET_SUBREAPER, _GET_SUBREAPER = 36, 37
 
 
@@ -80,11 +81,21 @@ def bury(own: Sequence[int]) -> None:
                     os.waitpid(pid, os.WNOHANG)
 
 
-def left_over(folder: Path) -> list[str]:
-    """Processes of this one, their segments, sockets in a folder, and files in its folder ``tmp``."""
-    family = descendants(os.getpid())
-    found = [f"process {pid} ({name})" for pid, name in family.items()]
+def segments() -> set[str]:
+    """The segments of shared memory of this machine that no living process has."""
+    mapped = ""
+    for maps in Path("/proc").glob("[0-9]*/maps"):
+        with suppress(OSError):
+            mapped += maps.read_text()
+    rows = [line.split() for line in Path("/proc/sysvipc/shm").read_text().splitlines()[1:]]
+    unused = {f"System V {row[1]}" for row in rows if row[6] == "0"}  # attached to nobody
+    return unused | {str(file) for file in Path(SHARED).iterdir() if str(file) not in mapped}
+
+
+def left_over(folder: Path, before: set[str]) -> list[str]:
+    """Processes of this one, new segments, sockets in a folder, and files in its folder ``tmp``."""
+    found = [f"process {pid} ({name})" for pid, name in descendants(os.getpid()).items()]
     listed = Path("/proc/net/unix").read_text().splitlines()
     found += [f"socket {line.split()[-1]}" for line in listed if f" {folder}/" in line]
-    found += [f"segment {one}" for one in segments(family)]
+    found += [f"segment {one}" for one in sorted(segments() - before)]
     return found + [f"file {entry}" for entry in (folder / "tmp").iterdir()]
