@@ -7,8 +7,8 @@ runs. Prints for each class and kind how
 many disturbances there were and what became of the runs that were under way. As root alone: the store is on
 a small disk that it mounts.
 
-``python -m tests.bench.chaos dask [RUNS SEED]`` (300, 0): the same on a Dask cluster of four workers, whose
-scheduler and workers are disturbed.
+``python -m tests.bench.chaos dask [RUNS SEED]`` (300, 0): the same by the command on a Dask cluster of four
+workers, whose scheduler and workers are disturbed.
 """
 
 import signal

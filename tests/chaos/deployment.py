@@ -21,6 +21,7 @@ import sqlalchemy as sa
 
 from deploy.workers.dask_task import RESOURCE
 from services.system.lifeline import die_with_parent
+from tests.dashboard.command import ZENFI
 from tests.fixtures import postgresql
 
 PATIENCE_S = 300.0
@@ -89,7 +90,7 @@ class Standing:
 
 @dataclass
 class Deployment:
-    """What flies: the service at ``address``, the Dask scheduler at ``cluster``, if there is one.
+    """What flies: the service at ``address``, or the command on the Dask cluster at ``cluster``.
 
     The store is at ``where``, for who only reads at ``readable``, its files are in ``store``.
     """
@@ -140,7 +141,7 @@ class Deployment:
     def operate(self, label: str, standing: Standing, *, disturbed: bool) -> None:
         """Do what an operator does: resume what has paused, start a service again that stays unready."""
         now = time.monotonic()
-        if now < self._asked_s + 5.0:
+        if now < self._asked_s + 5.0 or "service" not in self.daemons:
             return
         self._asked_s = now
         ready = self.request("GET", "/ready")
@@ -160,7 +161,7 @@ class Deployment:
                 self.resumed[given_up.get(label) or standing.reason] += 1
 
     def close(self) -> None:
-        """End all, the service first."""
+        """End all, who uses others first."""
         for daemon in self.daemons.values():
             daemon.end()
 
@@ -205,11 +206,14 @@ def deployed(folder: Path, disk: Path, kind: StoreKind, *, dask: bool = False) -
         store, readable = home, _postgresql(place)
     else:
         where, store, readable = str(disk / "store"), disk / "store", _sqlite(disk / "store")
-    add("service", sys.executable, "-m", "dashboard", "serve", "--store", where, "--port", str(port))
+    cluster = ""
+    if not dask:
+        add("service", sys.executable, "-m", "dashboard", "serve", "--store", where, "--port", str(port))
     if programs is not None:
         add("postgresql", *postgresql.prepared(place, programs))
-    cluster = ""
     if dask:
+        # The service flies on its own machine alone. Whatever has paused is resumed, as it is started again.
+        add("command", ZENFI, "campaign", "resume", "1", "--store", where)
         at = free_port()
         cluster = f"tcp://127.0.0.1:{at}"
         module = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1"]
