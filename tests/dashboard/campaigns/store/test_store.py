@@ -1,5 +1,6 @@
 """The store keeps what it is given, exactly once, in the form that the migrations make."""
 
+import json
 import subprocess
 import sys
 from contextlib import closing
