@@ -7,6 +7,9 @@ python3 launch.py soak       the long tests that are not in the gate
 python3 launch.py docs       makes the API reference in build/api
 python3 launch.py mutants    tries small wrong changes of the code, each of which a test must notice
 python3 launch.py lock       installs the newest versions for all jobs and writes them to constraints.txt
+python3 launch.py dependencies     writes docs/dependencies.md: reasons, versions, licences
+python3 launch.py vulnerabilities  asks the package index for known vulnerabilities of the locked versions
+python3 launch.py release    builds source archive, wheel and bill of materials in build/release
 
 What follows is passed on: to pytest after test, unit and soak, else to the command itself.
 
@@ -28,6 +31,7 @@ ENVIRONMENT = ROOT / ".venv"
 BIN = ENVIRONMENT / "bin"
 LOCK = ROOT / "constraints.txt"
 
+DEPENDENCIES = ["python", "-m", "release.dependencies"]
 JOBS = {
     "demo": [["zenfi", "demo"]],
     "test": [
@@ -41,6 +45,9 @@ JOBS = {
     "soak": [["pytest", "-m", "soak"]],
     "mutants": [["python", "-m", "tests.mutants.run"]],
     "docs": [["python", "docs/api.py", "build/api"]],
+    "dependencies": [DEPENDENCIES],
+    "vulnerabilities": [["python", "-m", "release.vulnerabilities"]],
+    "release": [["python", "-m", "release.build"]],
 }
 """The commands of each job. They run side by side; the last one, which is given further arguments, is shown
 as it goes, the others whole when all have ended."""
@@ -83,13 +90,16 @@ def pip(*arguments: str) -> str:
 
 
 def lock() -> int:
-    """Install the newest versions and write them to the lock, without the builds of one index (``+cpu``)."""
+    """Install the newest versions and write them to the lock and the page of dependencies.
+
+    Versions are without the builds of one index (``+cpu``).
+    """
     install(".[test]", locked=False)
     pip("install", "--quiet", "--upgrade", "--upgrade-strategy", "eager", "--editable", ".[test]")
     installed = pip("freeze", "--all", "--exclude", "pip", "--exclude-editable").splitlines()
     lines = ["# The versions of launch.py --locked; written by: python3 launch.py lock", *installed]
     LOCK.write_text("".join(f"{one.partition('+')[0]}\n" for one in lines))
-    return 0
+    return run([DEPENDENCIES])
 
 
 def run(commands: Sequence[Sequence[str]]) -> int:
