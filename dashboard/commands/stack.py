@@ -18,10 +18,10 @@ from deploy.compose.control import ControlRequest, NotUpError, StackView, ask, s
 from deploy.compose.daemon import start
 from deploy.compose.folder import TakenError, held, log_file, logs_folder, stack_folder
 from deploy.compose.logs import LogFollower, tail
-from deploy.compose.process_tree import clear_marked
 from deploy.compose.reading import read_stack
 from deploy.compose.stack_file import SUPERVISOR, Stack
 from deploy.compose.state_machine import MOVING
+from deploy.compose.system.process_tree import clear_marked
 from deploy.errors import BadSpecError, InfrastructureError
 
 _FOLLOW_PAUSE_S = 0.1

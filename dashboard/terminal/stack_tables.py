@@ -26,7 +26,7 @@ def stack(view: StackView, *, with_host: bool = False) -> Table:
             str(one.pid) if runs else "-",
             str(one.life),
             f"{one.cpu_percent:.0f} %" if runs else "-",
-            f"{one.memory_bytes / 1e6:.0f} MB" if runs else "-",
+            _memory(one) if runs else "-",
             _remarks(one),
         )
     return table
@@ -38,6 +38,8 @@ def _remarks(one: ProcessView) -> str:
         said.append(f"restarts: {one.restarts}")
     if one.processes > 1:
         said.append(f"{one.processes} processes")
+    if one.failed_probes:
+        said.append(f"{one.failed_probes} probes failed")
     if one.lost_lines:
         said.append(f"{one.lost_lines} log lines lost")
     if one.cleared:
@@ -45,6 +47,11 @@ def _remarks(one: ProcessView) -> str:
     if one.unkilled:
         said.append(f"{one.unkilled} of other users not killed")
     return ", ".join(said)
+
+
+def _memory(one: ProcessView) -> str:
+    limit = f" of {one.memory_limit_bytes / 1e6:.0f}" if one.memory_limit_bytes else ""
+    return f"{one.memory_bytes / 1e6:.0f}{limit} MB"
 
 
 def _caption(view: StackView) -> str:

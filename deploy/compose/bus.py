@@ -20,8 +20,8 @@ import zenoh
 from pydantic import ValidationError
 
 from deploy.compose.control import ProcessView, StackView
-from deploy.compose.process_tree import MARK, NAMESPACE
 from deploy.compose.stack_file import Bus
+from deploy.compose.system.process_tree import MARK, NAMESPACE
 from services.bus import announce
 from services.bus.session import BusAddress, hand_over, open_session
 

@@ -28,7 +28,8 @@ class ProcessView(Strict):
     shared pages with each); ``cpu_percent`` is ps(1)'s: of one processor, over the time that it has run.
     ``life`` counts its starts, ``restarts`` those of them that its policy ordered. ``status`` is of the last
     end, negative for a signal. ``cleared`` counts the processes that had to be killed after their
-    leader had ended, ``unkilled`` those of other users that could not be.
+    leader had ended, ``unkilled`` those of other users that could not be. ``failed_probes`` are those in a
+    row that failed last.
     """
 
     name: str
@@ -44,6 +45,8 @@ class ProcessView(Strict):
     cpu_s: float
     cpu_percent: float
     memory_bytes: int
+    memory_limit_bytes: int | None
+    failed_probes: int
     lost_lines: int
     cleared: int
     unkilled: int

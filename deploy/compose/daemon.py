@@ -20,6 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from deploy.compose import limits
 from deploy.compose.bus import StackBus, host, namespace
 from deploy.compose.control import (
     ControlRefusedError,
@@ -30,18 +31,19 @@ from deploy.compose.control import (
     ask,
     serve,
 )
-from deploy.compose.events import Ask, Declare, Event, Kill, Launch, Restart, TimePassed, Unwant, Want
+from deploy.compose.events import Ask, Declare, Event, Kill, Launch, Probe, Restart, TimePassed, Unwant, Want
 from deploy.compose.folder import StackError, held, log_file, logs_folder, stack_folder
+from deploy.compose.limits import ImpossibleLimitError
 from deploy.compose.logs import Log
 from deploy.compose.process import environment
-from deploy.compose.process_tree import become_subreaper, clear_marked
 from deploy.compose.processes import SupervisedProcesses
 from deploy.compose.stack_file import SUPERVISOR, LogLimits, Stack
 from deploy.compose.state_machine import NEVER_S, ProcessState, StackStates
+from deploy.compose.system.process_tree import become_subreaper, clear_marked
 from deploy.errors import InfrastructureError
 from services.system.process_stat import ProcessStat
 
-GAP_PERIOD_S = 1.0
+LOOK_PERIOD_S = 1.0
 EXIT_REFUSED = 2
 
 
@@ -72,7 +74,7 @@ class StackSupervisor:
         self._note("up", pid=os.getpid(), cleared=self._cleared, unkilled=self._unkilled)
         self._bus.listen(self._processes.announced, self.view)
         server = await serve(self._folder, self.answer)
-        gaps = asyncio.create_task(self._tell_gaps())
+        looks = asyncio.create_task(self._look_regularly())
         try:
             self.tell(Declare(self._stack.processes))
             await self._over
@@ -81,7 +83,7 @@ class StackSupervisor:
             self._note("crashed", error=repr(error))
             raise
         finally:
-            gaps.cancel()
+            looks.cancel()
             server.close()
             self._processes.close()
             self._bus.close()
@@ -123,6 +125,10 @@ class StackSupervisor:
     def _declare(self, stack: Stack) -> None:
         if (stack.name, stack.logs, stack.bus) != (self._stack.name, self._stack.logs, self._stack.bus):
             raise ControlRefusedError("name, logs and bus change only after zenfi down")
+        try:
+            limits.check(stack.processes)
+        except ImpossibleLimitError as error:
+            raise ControlRefusedError(str(error)) from error
         self._stack = stack
         self.tell(Declare(stack.processes))
 
@@ -148,6 +154,8 @@ class StackSupervisor:
                 case Launch(name, _, spec):
                     space = namespace(self._stack.name)
                     self._processes.launch(action, environment(spec, self._folder, space))
+                case Probe(name):
+                    self._processes.probe(name)
                 case Ask(name, number):
                     self._processes.send(name, number)
                 case Kill(name):
@@ -177,9 +185,10 @@ class StackSupervisor:
         """Write a line to the supervisor's own log."""
         self._journal.take(json.dumps({"event": event, **more}).encode() + b"\n")
 
-    async def _tell_gaps(self) -> None:
+    async def _look_regularly(self) -> None:
         while True:
-            await asyncio.sleep(GAP_PERIOD_S)
+            await asyncio.sleep(LOOK_PERIOD_S)
+            self._processes.hold_limits()
             for log in self._processes.logs.values():
                 log.tell_gap_if_over()
 
@@ -230,6 +239,8 @@ class StackSupervisor:
             cpu_s=cpu_s,
             cpu_percent=100 * cpu_s / max(process.age_s, 0.01) if process is not None else 0.0,
             memory_bytes=sum(stat.memory_bytes for stat in family.values()),
+            memory_limit_bytes=self._states.specs[name].limits.memory_bytes,
+            failed_probes=running.failed_probes(name),
             lost_lines=running.logs[name].lost if name in running.logs else 0,
             cleared=running.cleared.get(name, 0),
             unkilled=running.unkilled.get(name, 0),
@@ -247,6 +258,7 @@ def main() -> None:
     stack = Stack.model_validate(order["stack"])
     folder = Path(order["folder"])
     try:
+        limits.check(stack.processes)
         with held(folder):
             become_subreaper()
             asyncio.run(_supervise(stack, folder, clear_marked(folder), attached=order["attached"]))

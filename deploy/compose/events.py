@@ -65,12 +65,25 @@ class SignsSeen:
 
 
 @dataclass(frozen=True, slots=True)
+class NotAlive:
+    """A process that was ready does not show any more that it works."""
+
+    name: str
+    life: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class Ended:
-    """The process and all that it had started are gone; ``status`` is negative for a signal."""
+    """The process and all that it had started are gone; ``status`` is negative for a signal.
+
+    ``reason`` is why the supervisor ended it, if it did so because of a limit.
+    """
 
     name: str
     life: int
     status: int
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +91,7 @@ class TimePassed:
     """A deadline or pause of a process may be over."""
 
 
-Event = Declare | Want | Unwant | Restart | Launched | NotLaunched | SignsSeen | Ended | TimePassed
+Event = Declare | Want | Unwant | Restart | Launched | NotLaunched | SignsSeen | NotAlive | Ended | TimePassed
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +101,13 @@ class Launch:
     name: str
     life: int
     spec: ProcessSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """The process is ready: from now on probe whether it works."""
+
+    name: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,4 +125,4 @@ class Kill:
     name: str
 
 
-Action = Launch | Ask | Kill
+Action = Launch | Probe | Ask | Kill

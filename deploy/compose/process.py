@@ -1,31 +1,25 @@
-"""One start of a process under its reaper: what the reaper reports, and the signs that it is ready."""
+"""One start of a process under its reaper: what the reaper reports."""
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
-import http.client
 import json
 import os
 import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
-from urllib.parse import urlsplit
 
-from deploy.compose.bus import StackBus
-from deploy.compose.process_tree import MARK, NAMESPACE, descendants
-from deploy.compose.reaper import CHANNEL
 from deploy.compose.stack_file import ProcessSpec
-from services.bus.announce import start_ticks
+from deploy.compose.system.process_tree import MARK, NAMESPACE, descendants
+from deploy.compose.system.reaper import CHANNEL
 from services.system.process_stat import ProcessStat
 
 _DATAGRAM_BYTES = 1 << 16
 # Isolated: the process's environment, which is the reaper's as well, cannot change how the reaper runs.
-_REAPER = ("-I", "-m", "deploy.compose.reaper")
+_REAPER = ("-I", "-m", "deploy.compose.system.reaper")
 
 
 def environment(spec: ProcessSpec, folder: Path, namespace: str) -> dict[str, str]:
@@ -48,6 +42,7 @@ class SupervisedProcess:
     """A reaper with its process. ``output`` is where all that they write can be read.
 
     ``pid`` is the process's, 0 until it runs; ``status`` stays None until its whole family is gone.
+    ``over_limit`` says, once it was killed for that, which limit it was over.
     """
 
     def __init__(self, number: int, spec: ProcessSpec, environment: Mapping[str, str]) -> None:
@@ -56,6 +51,7 @@ class SupervisedProcess:
         self.spec = spec
         self.pid = 0
         self.error = ""
+        self.over_limit = ""
         self.status: int | None = None
         self.killed = 0
         self.refused = 0
@@ -66,7 +62,7 @@ class SupervisedProcess:
         try:
             self.reaper = os.posix_spawn(
                 sys.executable,
-                [sys.executable, *_REAPER, spec.folder, *spec.command],
+                [sys.executable, *_REAPER, spec.folder, str(spec.limits.open_files or 0), *spec.command],
                 environment,
                 file_actions=[
                     (os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0),
@@ -123,77 +119,3 @@ class SupervisedProcess:
         """Close the descriptors; a reaper that still runs then ends its family and itself."""
         self.channel.close()
         os.close(self.output)
-
-
-PROBE_PAUSE_S = 0.1
-_PROBE_S = 2.0
-
-
-class ReadinessWatch:
-    """Calls ``ready`` once, when every sign that the process's declaration names has been seen."""
-
-    def __init__(self, process: SupervisedProcess, bus: StackBus, ready: Callable[[], None]) -> None:
-        self._process = process
-        self._bus = bus
-        self._ready = ready
-        self._missing = set(process.spec.ready.signs)
-        self._subscriber: Any = None
-        self._probe: asyncio.Task[None] | None = None
-        wanted = process.spec.ready
-        if wanted.publishes:
-            self._subscriber = bus.first_message(wanted.publishes, lambda: self._seen("publishes"))
-        if wanted.http:
-            self._probe = asyncio.create_task(self._until_it_answers(wanted.http))
-        self.look_for_announcement()
-
-    def look_for_announcement(self) -> None:
-        """Check whether the process has announced itself on the bus.
-
-        Anybody on the bus may claim to be anybody: the pid must be of this process's family and have
-        started when the claim says.
-        """
-        name = self._process.spec.ready.announces
-        if name is None or "announces" not in self._missing:
-            return
-        family = self._process.family()
-        for claim in self._bus.announcements(name):
-            with contextlib.suppress(OSError):
-                if claim.pid in family and start_ticks(claim.pid) == claim.start_ticks:
-                    self._seen("announces")
-                    return
-
-    async def _until_it_answers(self, url: str) -> None:
-        while not await asyncio.to_thread(answers, url):
-            await asyncio.sleep(PROBE_PAUSE_S)
-        self._seen("http")
-
-    def _seen(self, sign: str) -> None:
-        if sign not in self._missing:
-            return
-        self._missing.remove(sign)
-        if not self._missing:
-            self.close()
-            self._ready()
-
-    def close(self) -> None:
-        """Stop watching for signs of readiness."""
-        self._missing.clear()
-        if self._subscriber is not None:
-            self._subscriber.undeclare()
-            self._subscriber = None
-        if self._probe is not None:
-            self._probe.cancel()
-            self._probe = None
-
-
-def answers(url: str) -> bool:
-    """Whether a GET of ``url`` is answered with 2xx."""
-    parts = urlsplit(url)
-    connection = http.client.HTTPConnection(parts.hostname or "", parts.port or 80, timeout=_PROBE_S)
-    try:
-        connection.request("GET", f"{parts.path or '/'}{'?' if parts.query else ''}{parts.query}")
-        return 200 <= connection.getresponse().status < 300
-    except (OSError, http.client.HTTPException):
-        return False
-    finally:
-        connection.close()

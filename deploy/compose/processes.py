@@ -10,12 +10,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from deploy.compose.bus import StackBus
-from deploy.compose.events import Ended, Event, Launch, Launched, NotLaunched, SignsSeen
+from deploy.compose.events import Ended, Event, Launch, Launched, NotAlive, NotLaunched, SignsSeen
 from deploy.compose.folder import log_file
+from deploy.compose.limits import over_memory
 from deploy.compose.logs import READ_BYTES, Log
-from deploy.compose.process import ReadinessWatch, SupervisedProcess
-from deploy.compose.process_tree import kill_strays, reaped
+from deploy.compose.probes import LivenessWatch, ReadinessWatch
+from deploy.compose.process import SupervisedProcess
 from deploy.compose.stack_file import LogLimits
+from deploy.compose.system.process_tree import kill_strays, reaped
 
 FLOOD_PAUSE_S = 0.02
 """How long a process that writes more than it may is not read: at most 3 MB/s are read, then it waits."""
@@ -30,6 +32,7 @@ class SupervisedProcesses:
         self._folder, self._logs, self._bus, self._tell = folder, logs, bus, tell
         self._loop = asyncio.get_running_loop()
         self._watches: dict[str, ReadinessWatch] = {}
+        self._probes: dict[str, LivenessWatch] = {}
         self._statuses: dict[int, int] = {}
         self.now: dict[str, SupervisedProcess] = {}
         self.logs: dict[str, Log] = {}
@@ -62,13 +65,35 @@ class SupervisedProcesses:
                 process, self._bus, lambda: self._tell(SignsSeen(name, process.number))
             )
 
+    def probe(self, name: str) -> None:
+        """Probe from now on whether a process works."""
+        process = self.now.get(name)
+        if process is not None and process.spec.alive is not None:
+            self._probes[name] = LivenessWatch(
+                process,
+                process.spec.alive,
+                self._bus,
+                lambda reason: self._tell(NotAlive(name, process.number, reason)),
+            )
+
+    def failed_probes(self, name: str) -> int:
+        """How many probes of a process in a row have failed."""
+        return self._probes[name].failed if name in self._probes else 0
+
+    def hold_limits(self) -> None:
+        """Kill the processes whose families are over their limits."""
+        for process in self.now.values():
+            if not process.over_limit and (reason := over_memory(process)):
+                process.over_limit = reason
+                process.kill()
+
     def announced(self) -> None:
         """Check all processes for their announcement, since one has appeared on the bus."""
         for watch in list(self._watches.values()):
             watch.look_for_announcement()
 
     def send(self, name: str, number: int) -> None:
-        """Send a signal to a process and stop watching for its readiness."""
+        """Send a signal to a process and stop watching and probing it."""
         self._unwatch(name)
         if name in self.now:
             self.now[name].send(number)
@@ -81,7 +106,7 @@ class SupervisedProcesses:
     def close(self) -> None:
         """Free everything; reapers that still run then end their families and themselves."""
         self._loop.remove_signal_handler(signal.SIGCHLD)
-        for name in list(self._watches):
+        for name in (*self._watches, *self._probes):
             self._unwatch(name)
         for process in self.now.values():
             self._loop.remove_reader(process.channel)
@@ -91,9 +116,9 @@ class SupervisedProcesses:
             log.close()
 
     def _unwatch(self, name: str) -> None:
-        watch = self._watches.pop(name, None)
-        if watch is not None:
-            watch.close()
+        for watch in (self._watches.pop(name, None), self._probes.pop(name, None)):
+            if watch is not None:
+                watch.close()
 
     # -- what is heard -----------------------------------------------------------------------------
 
@@ -151,7 +176,7 @@ class SupervisedProcesses:
         if process.error:
             self._tell(NotLaunched(name, process.number, process.error))
         else:
-            self._tell(Ended(name, process.number, process.status or 0))
+            self._tell(Ended(name, process.number, process.status or 0, process.over_limit))
 
     def _hears_on(self, name: str, process: SupervisedProcess) -> bool:
         """Take in one report of a reaper; False if there will be no more."""

@@ -23,19 +23,16 @@ Text = Annotated[str, StringConstraints(min_length=1, pattern=r"^[^\x00]*$")]
 Seconds = Annotated[float, Field(gt=0, le=86_400)]
 
 
-class Readiness(Strict):
-    """When a process counts as ready: all that is named here must have happened.
+class ProcessSigns(Strict):
+    """What is seen of a process from outside: all that is named here.
 
     ``announces`` is the name under which it declares its liveliness token (``services/bus/announce.py``),
-    ``publishes`` the Zenoh key expression of its first message, ``http`` an address that answers 2xx,
-    ``exits`` that it has done its work and ended with status 0. Nothing named: ready once started.
+    ``publishes`` the Zenoh key expression of its messages, ``http`` an address that answers 2xx.
     """
 
     announces: Name | None = None
     publishes: Text | None = None
     http: Text | None = None
-    exits: bool = False
-    within_s: Seconds = 30.0
 
     @field_validator("http")
     @classmethod
@@ -47,14 +44,53 @@ class Readiness(Strict):
 
     @property
     def signs(self) -> frozenset[str]:
-        """The signs of readiness that must be seen of a running process."""
+        """The signs that must be seen of a running process."""
         return frozenset(name for name in ("announces", "publishes", "http") if getattr(self, name))
+
+
+class Readiness(ProcessSigns):
+    """When a process counts as ready: all that is named here must have happened.
+
+    ``publishes`` is seen with the first message; ``exits`` is that it has done its work and ended with
+    status 0. Nothing named: ready once started.
+    """
+
+    exits: bool = False
+    within_s: Seconds = 30.0
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         if self.exits and self.signs:
             raise ValueError("a process that is ready when it exits has no other sign of readiness")
         return self
+
+
+class Liveness(ProcessSigns):
+    """How a process that is ready shows that it still works: it is probed ``every_s``.
+
+    A probe fails if one of the signs is missing: no answer within ``timeout_s``, the announcement gone, no
+    message since the last probe. After so many ``failures`` in a row the process is stopped as a failure.
+    """
+
+    every_s: Seconds = 10.0
+    timeout_s: Seconds = 2.0
+    failures: Annotated[int, Field(ge=1, le=1000)] = 3
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if not self.signs:
+            raise ValueError("name a sign: http, announces or publishes")
+        return self
+
+
+class ProcessLimits(Strict):
+    """What a process may use: it is ended when all of its family take more than ``memory_bytes``.
+
+    ``open_files`` is for each process of the family, and none of them can open more.
+    """
+
+    memory_bytes: Annotated[int, Field(ge=1_000_000)] | None = None
+    open_files: Annotated[int, Field(ge=16)] | None = None
 
 
 class BackOff(Strict):
@@ -94,12 +130,16 @@ class ProcessSpec(Strict):
     """One process: ``command`` is run as it stands, by no shell.
 
     ``restarts`` is how many restarts in a row are tried; once it has been ready for ``settled_s`` they
-    are counted anew. ``folder`` is where it works; ``environment`` is added to the supervisor's.
+    are counted anew. When one of ``restarts_with`` starts again, it ends before and starts after that.
+    ``folder`` is where it works; ``environment`` is added to the supervisor's.
     """
 
     command: Annotated[tuple[Text, ...], Field(min_length=1)]
     needs: tuple[Name, ...] = ()
+    restarts_with: tuple[Name, ...] = ()
     ready: Readiness = Readiness()
+    alive: Liveness | None = None
+    limits: ProcessLimits = ProcessLimits()
     restart: Literal["never", "on-failure", "always"] = "on-failure"
     restarts: Annotated[int, Field(ge=0, le=1_000_000)] = 5
     settled_s: Seconds = 10.0
@@ -115,6 +155,11 @@ class ProcessSpec(Strict):
     def _consistent(self) -> Self:
         if self.ready.exits and self.restart == "always":
             raise ValueError('a process that is ready when it exits cannot have restart = "always"')
+        if self.ready.exits and self.alive is not None:
+            raise ValueError("a process that is ready when it exits cannot be probed: remove alive")
+        if strangers := [name for name in self.restarts_with if name not in self.needs]:
+            message = f"restarts_with names {strangers[0]}, which is not among its needs"
+            raise ValueError(message)
         return self
 
 

@@ -1,17 +1,19 @@
 """The states of a stack's processes, without I/O: events in, actions out.
 
 A need is met by a process that is ready, or by one that is ready when it exits and has exited with 0.
-Needs order starts and stops; a process that runs is left alone when what it needs restarts.
+Needs order starts and stops; a process that runs is left alone when what it needs restarts, unless it is
+declared to restart with that: then it ends first, and starts again when what it needs is ready.
 
 A process is
 
 =========== ======================================================================================
 pending     wanted; waits until what it needs is ready
 starting    runs, and has not shown yet that it is ready; too long and it is stopped as a failure
-ready       runs and is ready; has been so long enough and its restarts are counted anew
+ready       runs and is ready; has been so long enough and its restarts are counted anew; does not
+            answer its probes and it is stopped as a failure
 backing_off ended though it should run; starts again when the pause is over
-stopping    was asked to end: to stay stopped, to start again, or as it was not ready in time; is
-            killed when its grace is over
+stopping    was asked to end: to stay stopped, to start again, or as it failed; is killed when its
+            grace is over
 stopped     not wanted, and not running
 exited      ended by itself, and its policy lets it: status 0, or a policy of ``never``
 failed      could not be started, or ended once more than its policy tries again
@@ -34,7 +36,9 @@ from deploy.compose.events import (
     Kill,
     Launch,
     Launched,
+    NotAlive,
     NotLaunched,
+    Probe,
     Restart,
     SignsSeen,
     TimePassed,
@@ -48,6 +52,7 @@ Phase = Literal["pending", "starting", "ready", "backing_off", "stopping", "stop
 
 RUNNING: tuple[Phase, ...] = ("starting", "ready", "stopping")
 AT_REST: tuple[Phase, ...] = ("stopped", "exited", "failed")
+BEFORE_A_START: tuple[Phase, ...] = ("pending", "backing_off")
 MOVING: tuple[Phase, ...] = ("starting", "backing_off", "stopping")
 """Those that end by themselves."""
 NEVER_S = float("inf")
@@ -57,8 +62,9 @@ NEVER_S = float("inf")
 class ProcessState:
     """The state of one process. ``until_s`` is when its phase ends if nothing happens before.
 
-    ``restarts`` counts those by policy, ``in_a_row`` those since it last settled; ``late`` says that it
-    is stopping because it was not ready in time, ``killed`` that its grace is over.
+    ``restarts`` counts those by policy, ``in_a_row`` those since it last settled; ``failing`` says that it
+    is stopping because it was not ready in time or is not alive, ``killed`` that its grace is over. ``due``
+    is why it has to start again, as soon as those that restart with it have ended.
     """
 
     phase: Phase = "stopped"
@@ -67,7 +73,8 @@ class ProcessState:
     until_s: float = NEVER_S
     restarts: int = 0
     in_a_row: int = 0
-    late: bool = False
+    failing: bool = False
+    due: str = ""
     killed: bool = False
     reason: str = ""
     status: int | None = None
@@ -139,7 +146,7 @@ class StackStates:
             case TimePassed():
                 for name in self._states:
                     self._pass(name)
-            case Launched() | NotLaunched() | SignsSeen() | Ended():
+            case Launched() | NotLaunched() | SignsSeen() | NotAlive() | Ended():
                 state = self._states.get(event.name)
                 if state is None or state.life != event.life or state.phase not in RUNNING:
                     self.stale += 1
@@ -148,7 +155,9 @@ class StackStates:
             case _:
                 assert_never(event)
 
-    def _hear(self, event: Launched | NotLaunched | SignsSeen | Ended, state: ProcessState) -> None:
+    def _hear(
+        self, event: Launched | NotLaunched | SignsSeen | NotAlive | Ended, state: ProcessState
+    ) -> None:
         name, ready = event.name, self._specs[event.name].ready
         match event:
             case Launched():
@@ -158,11 +167,14 @@ class StackStates:
                 if state.phase == "starting" and ready.signs:
                     self._become_ready(name)
             case NotLaunched(_, _, error):
-                again = state.phase == "stopping" and not state.late
+                again = state.phase == "stopping" and not state.failing
                 phase: Phase = "stopped" if not state.wanted else "pending" if again else "failed"
                 self._change(name, phase=phase, reason=error, wanted=phase == "pending")
-            case Ended(_, _, status):
-                self._end(name, status)
+            case NotAlive(_, _, reason):
+                if state.phase == "ready":
+                    self._start_again(name, reason, failing=True)
+            case Ended(_, _, status, reason):
+                self._end(name, status, reason or status_text(status))
 
     # -- what somebody wants -----------------------------------------------------------------------
 
@@ -174,7 +186,7 @@ class StackStates:
             self._undeclared.discard(name)
             changed = name in self._specs and self._specs[name] != spec
             if changed and self._states[name].phase in ("starting", "ready"):
-                self._stop(name, "declared anew")
+                self._start_again(name, "declared anew")
             self._specs[name] = spec
             self._states.setdefault(name, ProcessState(life=self._forgotten_lives.pop(name, 0)))
             if changed and self._states[name].phase == "backing_off":
@@ -204,7 +216,7 @@ class StackStates:
 
     def _again(self, name: str) -> None:
         if self._states[name].phase in ("starting", "ready"):
-            self._stop(name, "to start again")
+            self._start_again(name, "to start again")
         elif self._states[name].phase != "stopping":
             self._change(name, phase="pending", reason="")
         self._change(name, in_a_row=0)
@@ -213,36 +225,39 @@ class StackStates:
     # -- what happens ------------------------------------------------------------------------------
 
     def _become_ready(self, name: str) -> None:
-        settled_s = self._now_s + self._specs[name].settled_s
-        self._change(name, phase="ready", until_s=settled_s, reason="")
+        spec, due = self._specs[name], self._states[name].due
+        self._change(name, phase="ready", until_s=self._now_s + spec.settled_s, reason="", due=due)
+        if spec.alive is not None:
+            self._actions.append(Probe(name))
 
-    def _stop(self, name: str, reason: str, *, late: bool = False) -> None:
+    def _start_again(self, name: str, reason: str, *, failing: bool = False) -> None:
+        """Stop a process that is to come again once those that restart with it have ended."""
+        state, spec = self._states[name], self._specs[name]
+        given_up = failing and (spec.restart == "never" or state.in_a_row >= spec.restarts)
+        if given_up or not _restarting_with(name, self._specs, self._states):
+            self._stop(name, reason, failing=failing)
+        else:
+            self._change(name, due=reason, failing=failing)
+
+    def _stop(self, name: str, reason: str, *, failing: bool = False) -> None:
         stop = self._specs[name].stop
         until_s = self._now_s + stop.grace_s
-        self._change(name, phase="stopping", until_s=until_s, reason=reason, late=late, killed=False)
+        self._change(name, phase="stopping", until_s=until_s, reason=reason, failing=failing, killed=False)
         self._actions.append(Ask(name, stop.number))
 
-    def _end(self, name: str, status: int) -> None:
+    def _end(self, name: str, status: int, how: str) -> None:
         state, spec = self._states[name], self._specs[name]
+        why = (state.due or state.reason) if state.failing else how
         self._change(name, status=status)
         if not state.wanted:
-            self._change(name, phase="stopped", reason=status_text(status))
-        elif state.phase == "stopping" and not state.late:
+            self._change(name, phase="stopped", reason=how)
+        elif state.phase == "stopping" and not state.failing:
             self._change(name, phase="pending")
-        elif state.late or status != 0:
-            why = state.reason if state.late else status_text(status)
-            if spec.restart == "never":
-                self._change(name, phase="failed", reason=why, wanted=False)
-            else:
-                self._back_off(name, why)
-        elif spec.restart == "always":
-            self._back_off(name, status_text(status))
-        else:
-            self._change(name, phase="exited", reason=status_text(status), wanted=False)
-
-    def _back_off(self, name: str, why: str) -> None:
-        state, spec = self._states[name], self._specs[name]
-        if state.in_a_row >= spec.restarts:
+        elif status == 0 and not state.failing and spec.restart != "always":
+            self._change(name, phase="exited", reason=how, wanted=False)
+        elif spec.restart == "never":
+            self._change(name, phase="failed", reason=why, wanted=False)
+        elif state.in_a_row >= spec.restarts:
             why = f"{why}; given up after {state.in_a_row} restarts in a row"
             self._change(name, phase="failed", reason=why, wanted=False)
         else:
@@ -256,7 +271,7 @@ class StackStates:
         match state.phase:
             case "starting":
                 within_s = self._specs[name].ready.within_s
-                self._stop(name, f"not ready within {within_s:g} s", late=True)
+                self._stop(name, f"not ready within {within_s:g} s", failing=True)
             case "stopping":
                 self._change(name, killed=True, until_s=NEVER_S)
                 self._actions.append(Kill(name))
@@ -270,6 +285,8 @@ class StackStates:
 
     def _settle(self) -> None:
         """Start and stop what the dependencies allow by now, and forget what is not declared any more."""
+        for name, why in _due(self._specs, self._states).items():
+            self._change(name, due=why)
         for name, state in list(self._states.items()):
             if name in self._undeclared and state.phase in AT_REST:
                 self._undeclared.discard(name)
@@ -283,30 +300,37 @@ class StackStates:
                 and not _is_needed(name, self._specs, self._states)
             ):
                 self._stop(name, "")
+            elif state.due and not _restarting_with(name, self._specs, self._states):
+                self._stop(name, state.due, failing=state.failing)
 
     def _launch_if_met(self, name: str) -> None:
         missing = [
             need for need in self._specs[name].needs if not _is_met(self._specs[need], self._states[need])
         ]
-        if missing:
-            self._change(name, reason=f"needs {', '.join(missing)}")
+        ending = _restarting_with(name, self._specs, self._states)
+        if missing or ending:
+            reasons = [f"needs {', '.join(missing)}"] if missing else []
+            reasons += [f"waits for the end of {', '.join(ending)}"] if ending else []
+            self._change(name, reason="; ".join(reasons))
             return
         spec, life = self._specs[name], self._states[name].life + 1
         until_s = self._now_s + spec.ready.within_s
-        self._change(name, phase="starting", life=life, until_s=until_s, reason="", late=False, killed=False)
+        self._change(
+            name, phase="starting", life=life, until_s=until_s, reason="", failing=False, killed=False
+        )
         self._actions.append(Launch(name, life, spec))
 
     def _change(self, name: str, **fields: object) -> None:
-        """A new phase has no end unless one is given."""
+        """A new phase has no end, and nothing due, unless one is given."""
         if "phase" in fields:
-            fields = {"until_s": NEVER_S, **fields}
+            fields = {"until_s": NEVER_S, "due": "", **fields}
         self._states[name] = replace(self._states[name], **fields)  # type: ignore[arg-type]
 
 
 def _is_met(spec: ProcessSpec, state: ProcessState) -> bool:
     """Whether others that need this process may start."""
     done = spec.ready.exits and state.phase == "exited" and state.status == 0
-    return state.phase == "ready" or done
+    return (state.phase == "ready" and not state.due) or done
 
 
 def _is_needed(name: str, specs: Mapping[str, ProcessSpec], states: Mapping[str, ProcessState]) -> bool:
@@ -315,3 +339,23 @@ def _is_needed(name: str, specs: Mapping[str, ProcessSpec], states: Mapping[str,
         name in spec.needs and not states[other].wanted and states[other].phase in RUNNING
         for other, spec in specs.items()
     )
+
+
+def _restarting_with(
+    name: str, specs: Mapping[str, ProcessSpec], states: Mapping[str, ProcessState]
+) -> list[str]:
+    """The processes that run and have to end before this one starts again."""
+    return [one for one in specs if name in specs[one].restarts_with and states[one].phase in RUNNING]
+
+
+def _due(specs: Mapping[str, ProcessSpec], states: Mapping[str, ProcessState]) -> dict[str, str]:
+    """The processes that have to start again because one that they restart with does, and why."""
+    found: dict[str, str] = {}
+    waiting = [name for name, state in states.items() if state.due or state.phase in BEFORE_A_START]
+    while waiting:
+        name = waiting.pop()
+        for one in _restarting_with(name, specs, states):
+            if states[one].phase != "stopping" and not states[one].due and one not in found:
+                found[one] = f"restarts with {name}"
+                waiting.append(one)
+    return found

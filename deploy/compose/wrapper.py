@@ -13,7 +13,7 @@ from pathlib import Path
 from deploy.compose.bus import namespace, own_address
 from deploy.compose.control import StackView, stacks_up, state
 from deploy.compose.folder import StackError
-from deploy.compose.process_tree import descendants
+from deploy.compose.system.process_tree import descendants
 from injector.tracing.process import IdentityError, Process, ProcessIdentity
 from services.bus import announce
 from services.bus.announce import Announcement

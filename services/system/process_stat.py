@@ -61,6 +61,20 @@ def own_number(pid: int) -> int:
     return int(status.partition("\nNSpid:")[2].partition("\n")[0].split()[-1])
 
 
+def proportional_memory_bytes(pid: int, stat: ProcessStat) -> int:
+    """What of a process is in memory, pages that it shares with others counted in part.
+
+    With all its pages, as in its ``stat``, if the kernel does not tell us; nothing once it is gone.
+    """
+    try:
+        lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    except PermissionError:
+        return stat.memory_bytes
+    except OSError:
+        return 0
+    return sum(int(line.split()[1]) * 1024 for line in lines if line.startswith("Pss:"))
+
+
 def main_thread_stat(pid: int) -> ProcessStat:
     """The status of the first thread of a process alone.
 

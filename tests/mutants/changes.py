@@ -513,6 +513,38 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "deploy/compose/state_machine.py",
+        "tests/deploy/compose/test_state_machine.py",
+        (
+            "stack: a process starts while those that restart with it still run",
+            "if missing or ending:",
+            "if missing:",
+        ),
+        (
+            "stack: who does not come again takes others along",
+            "if given_up or not",
+            "if not",
+        ),
+    ),
+    *_of(
+        "deploy/compose/limits.py",
+        "tests/deploy/compose/test_limits.py",
+        (
+            "limits: pages that a family shares count for each of it",
+            "sum(proportional_memory_bytes(pid, stat) for pid, stat in family.items())",
+            "sum(stat.memory_bytes for stat in family.values())",
+        ),
+    ),
+    *_of(
+        "deploy/compose/probes.py",
+        "tests/deploy/compose/test_probes.py",
+        (
+            "probes: a message of long ago is enough",
+            "heard, self._heard = self._heard, False",
+            "heard = self._heard",
+        ),
+    ),
+    *_of(
         "services/control/pid.py",
         "tests/services/control/test_pid.py",
         ("pid: yaw gain halved", "_YAW_PROPORTIONAL = 2.0", "_YAW_PROPORTIONAL = 1.0"),
@@ -965,8 +997,8 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
-        "deploy/compose/process_tree.py",
-        "tests/deploy/compose/test_process_tree.py",
+        "deploy/compose/system/process_tree.py",
+        "tests/deploy/compose/system/test_process_tree.py",
         (
             "stack: who is ending is not waited for",
             "found |= _below(found, everybody, spare=[os.getpid()])",

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from deploy.compose.control import ControlRequest, NotUpError, ask
-from deploy.compose.process_tree import clear_marked
+from deploy.compose.system.process_tree import clear_marked
 from tests.conftest import PATIENCE_S, alive, wait_until
 from tests.dashboard.command import ZENFI, refusal, zenfi
 

@@ -11,8 +11,8 @@ import pytest
 from deploy.compose.control import ControlRequest, ProcessView, StackView, ask
 from deploy.compose.daemon import StackStarted, start
 from deploy.compose.folder import stack_folder
-from deploy.compose.process_tree import clear_marked
 from deploy.compose.stack_file import Stack
+from deploy.compose.system.process_tree import clear_marked
 from tests.conftest import PATIENCE_S, wait_until
 
 PROCESSES = Path(__file__).parents[2] / "fixtures" / "processes"

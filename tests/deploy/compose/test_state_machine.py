@@ -15,14 +15,16 @@ from deploy.compose.events import (
     Kill,
     Launch,
     Launched,
+    NotAlive,
     NotLaunched,
+    Probe,
     Restart,
     SignsSeen,
     TimePassed,
     Unwant,
     Want,
 )
-from deploy.compose.stack_file import BackOff, ProcessSpec, Readiness, StopPolicy
+from deploy.compose.stack_file import BackOff, Liveness, ProcessSpec, Readiness, StopPolicy
 from deploy.compose.state_machine import AT_REST, NEVER_S, RUNNING, ProcessState, StackStates
 
 SHORT = BackOff(first_s=1, factor=2, most_s=3)
@@ -34,11 +36,12 @@ def spec(**fields: object) -> ProcessSpec:
 
 
 HTTP = Readiness(http="http://localhost/", within_s=4)
+ALIVE = Liveness(http="http://localhost/")
 FIRST = {
     "once": spec(ready=Readiness(exits=True, within_s=4)),
-    "base": spec(ready=HTTP, needs=("once",), restart="always", stop=StopPolicy(grace_s=2)),
+    "base": spec(ready=HTTP, needs=("once",), restart="always", stop=StopPolicy(grace_s=2), alive=ALIVE),
     "side": spec(restart="never"),
-    "top": spec(ready=HTTP, needs=("base", "side")),
+    "top": spec(ready=HTTP, needs=("base", "side"), restarts_with=("base",), alive=ALIVE),
 }
 SECOND = {
     "base": spec(ready=HTTP, restart="on-failure", stop=StopPolicy(signal="SIGINT", grace_s=2)),
@@ -49,9 +52,12 @@ STACKS = (FIRST, SECOND)
 NAMES = ("once", "base", "side", "top", "new")
 names = st.sampled_from(NAMES)
 lives = st.integers(-1, 0)  # the present life of the process, or the one before
+PLAIN = ("want", "unwant", "again", "launched", "not launched", "seen", "dead")
 steps = st.one_of(
     st.tuples(st.just("declare"), st.sampled_from((0, 1)), lives),
-    st.tuples(st.sampled_from(("want", "unwant", "again", "launched", "not launched", "seen")), names, lives),
+    st.tuples(
+        st.sampled_from(("want", "unwant", "again", "launched", "not launched", "seen", "dead")), names, lives
+    ),
     st.tuples(st.just("ended"), names, lives, st.sampled_from((0, 1, -9))),
     st.tuples(st.just("passed"), st.floats(0, 6), lives),
 )
@@ -78,7 +84,7 @@ class Watched:
                 assert state.killed or state.until_s < NEVER_S
             if not state.wanted:
                 assert state.phase not in ("pending", "backing_off")
-        if isinstance(event, (Launched, NotLaunched, SignsSeen, Ended)):
+        if isinstance(event, (Launched, NotLaunched, SignsSeen, NotAlive, Ended)):
             known = before.get(event.name)
             if known is None or known.life != event.life or known.phase not in RUNNING:
                 assert not actions
@@ -97,6 +103,11 @@ class Watched:
                 for need in what.needs:
                     done = states[need].phase == "exited" and states[need].status == 0
                     assert states[need].phase == "ready" or done
+                for other, others in self.states.specs.items():
+                    assert not (name in others.restarts_with and states[other].phase in RUNNING)
+            case Probe():
+                assert states[name].phase == "ready"
+                assert self.states.specs[name].alive is not None
             case Ask():
                 assert (name, life) not in self.asked
                 self.asked.add((name, life))
@@ -132,6 +143,7 @@ class Watched:
             "launched": Launched(name, life),
             "not launched": NotLaunched(name, life, "no such program"),
             "seen": SignsSeen(name, life),
+            "dead": NotAlive(name, life, "does not answer"),
             "ended": Ended(name, life, int(str(step[3])) if len(step) > 3 else 0),
         }
         return events[str(kind)]
@@ -279,6 +291,74 @@ def test_a_need_that_restarts_leaves_its_dependants_alone() -> None:
     stack.handle(Launched("top", 1))
     stack.handle(Ended("base", 1, 1))
     assert stack.states.processes["top"].phase == "ready"
+
+
+def pair(**base: object) -> Watched:
+    """A process, and one that needs it and restarts with it; both are ready."""
+    stack = Watched()
+    specs = {"top": spec(needs=("base",), restarts_with=("base",)), "base": spec(alive=ALIVE, **base)}
+    stack.handle(Declare(specs))
+    stack.handle(Launched("base", 1))
+    stack.handle(Launched("top", 1))
+    return stack
+
+
+def told(actions: list[Action]) -> list[tuple[str, str]]:
+    return [(type(action).__name__, action.name) for action in actions]
+
+
+def test_who_is_not_alive_starts_again_after_those_that_restart_with_it_have_ended() -> None:
+    stack = pair()
+    assert told(stack.handle(NotAlive("base", 1, "does not answer"))) == [("Ask", "top")]
+    assert told(stack.handle(Ended("top", 1, -15))) == [("Ask", "base")]
+    assert told(stack.handle(Ended("base", 1, -15))) == []
+    base = stack.states.processes["base"]
+    assert (base.phase, base.reason) == ("backing_off", "does not answer")
+    stack.now_s = stack.states.next_s
+    assert told(stack.handle(TimePassed())) == [("Launch", "base")]
+    assert told(stack.handle(Launched("base", 2))) == [("Probe", "base"), ("Launch", "top")]
+
+
+def test_who_crashes_starts_again_when_those_that_restart_with_it_have_ended() -> None:
+    stack = pair()
+    assert told(stack.handle(Ended("base", 1, 1))) == [("Ask", "top")]
+    stack.now_s = stack.states.next_s
+    assert told(stack.handle(TimePassed())) == []
+    assert stack.states.processes["base"].reason == "waits for the end of top"
+    assert told(stack.handle(Ended("top", 1, 0))) == [("Launch", "base")]
+    assert told(stack.handle(Launched("base", 2))) == [("Probe", "base"), ("Launch", "top")]
+
+
+@pytest.mark.parametrize("policy", [{"restart": "never"}, {"restarts": 0}])
+def test_who_does_not_come_again_takes_nobody_along(policy: dict[str, object]) -> None:
+    stack = pair(**policy)
+    assert told(stack.handle(NotAlive("base", 1, "does not answer"))) == [("Ask", "base")]
+    assert told(stack.handle(Ended("base", 1, -15))) == []
+    assert stack.states.processes["base"].phase == "failed"
+    assert stack.states.processes["base"].reason.startswith("does not answer")
+    assert stack.states.processes["top"].phase == "ready"
+
+
+CHANGED = Declare({**FIRST, "base": spec(ready=HTTP, command=("y",))})
+
+
+@pytest.mark.parametrize("order", [Restart("base"), CHANGED], ids=["asked", "declared anew"])
+def test_who_is_to_start_again_takes_those_along_that_restart_with_it(order: Event) -> None:
+    stack = Watched()
+    stack.handle(Declare(FIRST))
+    stack.let_it_work()
+    assert told(stack.handle(order)) == [("Ask", "top")]
+    life = stack.states.processes["base"].life
+    assert told(stack.handle(Ended("top", stack.states.processes["top"].life, 0))) == [("Ask", "base")]
+    assert ("Launch", "base") in told(stack.handle(Ended("base", life, 0)))
+
+
+def test_who_is_over_a_limit_has_failed_with_that_reason() -> None:
+    stack = alone(spec(restart="never"))
+    stack.handle(Launched("x", 1))
+    stack.handle(Ended("x", 1, -9, "over its limit of memory"))
+    state = stack.states.processes["x"]
+    assert (state.phase, state.status, state.reason) == ("failed", -9, "over its limit of memory")
 
 
 def test_only_what_is_declared_anew_starts_anew() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deploy.compose.process_tree import MARK, clear_marked
+from deploy.compose.system.process_tree import MARK, clear_marked
 from tests.conftest import alive, wait_until
 
 

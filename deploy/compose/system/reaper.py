@@ -16,13 +16,14 @@ import contextlib
 import errno
 import json
 import os
+import resource
 import select
 import signal
 import socket
 import sys
 from pathlib import Path
 
-from deploy.compose.process_tree import become_subreaper, end_family, reaped
+from deploy.compose.system.process_tree import become_subreaper, end_family, reaped
 from services.system.lifeline import die_with_parent
 
 CHANNEL = 3
@@ -33,8 +34,8 @@ _EXIT_EXEC = 127
 
 
 def main() -> None:
-    """Entry point: arguments are the working folder and the command."""
-    folder, *command = sys.argv[1:]
+    """Entry point: arguments are the working folder, the limit of open files (0: none) and the command."""
+    folder, open_files, *command = sys.argv[1:]
     channel = socket.socket(fileno=CHANNEL)
     channel.set_inheritable(False)
     Path("/proc/self/comm").write_text("zenfi-reaper")
@@ -46,7 +47,7 @@ def main() -> None:
     signal.set_wakeup_fd(waker, warn_on_full_buffer=False)
     signal.signal(signal.SIGCHLD, lambda *_: None)
     try:
-        child = _start(folder, command)
+        child = _start(folder, int(open_files), command)
     except OSError as error:
         end_family()
         _report(channel, {"error": f"{error.filename}: {os.strerror(error.errno or errno.EIO)}"})
@@ -62,7 +63,7 @@ def _report(channel: socket.socket, report: dict[str, object]) -> None:
         channel.send(json.dumps(report).encode())
 
 
-def _start(folder: str, command: list[str]) -> int:
+def _start(folder: str, open_files: int, command: list[str]) -> int:
     """Fork and execute the process; return its pid.
 
     :raises OSError: naming the folder or program that cannot be used.
@@ -79,6 +80,9 @@ def _start(folder: str, command: list[str]) -> int:
             for one in signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP}:
                 with contextlib.suppress(OSError):
                     signal.signal(one, signal.SIG_DFL)
+            wrong = "open_files"
+            if open_files:
+                resource.setrlimit(resource.RLIMIT_NOFILE, (open_files, open_files))
             wrong = folder
             os.chdir(folder)
             wrong = command[0]
