@@ -46,6 +46,7 @@ UNIT = (
     "tests/injector/isa/test_aarch64_registers.py",
     "tests/injector/isa/test_x86_64_decoder.py",
     "tests/injector/strikes/test_recorded_bus.py",
+    "tests/release/test_dependencies.py",
     "tests/services/bus",
     "tests/services/control",
     "tests/services/models",

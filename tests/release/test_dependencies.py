@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from packaging.utils import canonicalize_name
 
-from release.dependencies import LOCK, PAGE, ROOT, Dependencies, page
+from release.dependencies import BUNDLED, HEAD, LOCK, PAGE, ROOT, Dependencies, page
 from release.licences import is_accepted, licence_of
 
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -23,32 +24,29 @@ def test_each_dependency_has_a_reason_and_an_accepted_licence(ours: Dependencies
     assert ours.complaints() == []
 
 
-def rows(text: str) -> dict[str, str]:
-    """The lines of the page's tables by name of package."""
-    return {
-        line.split(" | ")[0].removeprefix("| "): line for line in text.splitlines() if line.startswith("| ")
-    }
+def rows(text: str) -> dict[str, list[str]]:
+    """The columns of the page's tables by name of package: version, licence, with what, why."""
+    lines = [line.strip("| ").split(" | ") for line in text.splitlines() if line.startswith("| ")]
+    return {name: columns for name, *columns in lines if name not in ("package", "---")}
 
 
 def test_the_page_is_what_is_generated(ours: Dependencies) -> None:
-    written, generated = PAGE.read_text(), page(ours)
-    # What is newer here than in the lock may have another licence by now, and need other packages.
-    newer = ours.unlocked()
-    if not newer:
-        assert written == generated
-    there, made = rows(written), rows(generated)
-    assert {name: there.get(name) for name in made if name not in newer and name in there} == {
-        name: line for name, line in made.items() if name not in newer and name in there
-    }
-    assert set(ours.direct) <= set(there)
+    written, generated, newer = rows(PAGE.read_text()), rows(page(ours)), ours.unlocked()
+    assert set(ours.direct) <= set(written)
+    assert PAGE.read_text().startswith(HEAD)
+    assert PAGE.read_text().endswith(BUNDLED)
+    # What is newer here than in the lock may have another licence by now, and bring others along.
+    same = [name for name in generated if name in written and name not in newer]
+    compared = [0, 1, 3] if newer else [0, 1, 2, 3]
+    for name in same:
+        columns = [[one[n] for n in compared if n < len(one)] for one in (written[name], generated[name])]
+        assert columns[0] == columns[1], f"{name}: python3 launch.py --locked dependencies"
 
 
 def test_the_page_has_the_versions_of_the_lock_and_no_others() -> None:
-    versions = {name: line.split(" | ")[1] for name, line in rows(PAGE.read_text()).items()}
-    pinned = dict(line.split("==") for line in LOCK.read_text().splitlines() if not line.startswith("#"))
-    locked = {name.lower().replace("_", "-").replace(".", "-"): version for name, version in pinned.items()}
-    del versions["package"], versions["---"]
-    assert versions.items() <= locked.items()
+    versions = {name: columns[0] for name, columns in rows(PAGE.read_text()).items()}
+    pinned = (line.split("==") for line in LOCK.read_text().splitlines() if not line.startswith("#"))
+    assert versions == {canonicalize_name(name): version for name, version in pinned}
 
 
 def changed(what: str, **entries: str | None) -> Dependencies:
