@@ -84,13 +84,13 @@ class Tree:
         (self.folder / mutant.path).write_text((origin / mutant.path).read_text())
 
     def _without_fixtures(self, tests: Sequence[str]) -> tuple[str, ...]:
-        """What leaves out the shared fixtures, where no test asks for them or for what forks nodes."""
+        """What leaves out the shared fixtures, where no test asks for one, a fork server or a stack."""
         named = [self.folder / test.partition("::")[0] for test in tests]
         files = [file for one in named for file in ([one] if one.is_file() else one.rglob("test_*.py"))]
         asked = any(
             word in file.read_text()
             for file in files
-            for word in ("usefixtures", "ForkServer", "store: Store")
+            for word in ("usefixtures", "ForkServer", "store: Store", "Laboratory")
         )
         return () if asked else ("--noconftest",)
 
