@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 from dashboard.campaigns.executors.spec import DaskSpec
 from dashboard.campaigns.flight_record import FlightRecord
 from dashboard.campaigns.spec import CampaignSpec
-from dashboard.campaigns.store.schema import ResultRow
+from dashboard.campaigns.store.schema import OutcomeRow, ResultRow
 from dashboard.campaigns.store.store import Store
 from services.models.outcome import Outcome
 from services.runtime import rng
@@ -237,8 +237,11 @@ def _kept(one: Deployment, label: str) -> tuple[list[FlightRecord], list[str]]:
         found = store.find(label)
         records, folder = list(store.records(found)), store.artefacts(found)
         with store.reading() as connection:
-            rows = connection.execute(sa.select(ResultRow.run_id, ResultRow.outcome, ResultRow.artefact))
-            kept = {row.run_id: row.outcome for row in rows if row.artefact == "kept"}
+            query = sa.select(OutcomeRow.run_id, OutcomeRow.outcome).join(
+                ResultRow, ResultRow.run_id == OutcomeRow.run_id
+            )
+            rows = connection.execute(query.where(ResultRow.artefact == "kept"))
+            kept = {row.run_id: row.outcome for row in rows}
     return records, [
         f"lost: {what}" for run, outcome in kept.items() for what in _missing(folder, run, outcome)
     ]
