@@ -28,6 +28,7 @@ COMMANDS = {
     "announce": LazyCommand("inject", "Run a program of your own so that zenfi inject finds it."),
     "bench": LazyCommand("bench", "Measure the speed of this machine."),
     "campaign": LazyCommand("campaign", "Many flights: run, resumed, compared, exported."),
+    "certificates": LazyCommand("stack", "Make certificates for machines that meet over TLS."),
     "demo": LazyCommand("campaign", "A small campaign: golden flights beside flights with faults."),
     "doctor": LazyCommand("mission", "Check what this machine allows, and fly once."),
     "down": LazyCommand("stack", "End a stack: its processes in order, then its supervisor."),

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
+from dashboard.analysis.extras import installed
 from dashboard.terminal import stack_tables
 from dashboard.terminal.options import as_json
 from deploy.compose import control
@@ -37,11 +38,17 @@ in_stack = click.option("--stack", "stack", metavar="NAME", help="Which stack; n
     help="What to start [default: what a laboratory needs].",
 )
 @click.option("--foxglove", is_flag=True, help="Also show flights live in Foxglove: zenfi foxglove.")
+@click.option(
+    "--tls",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="Certificates of this machine, made by zenfi certificates; in place of the file's.",
+)
 @click.option("-d", "--detach", is_flag=True, help="Leave it running; wait until it is ready.")
 @as_json
-def up(file: Path | None, foxglove: bool, detach: bool, as_json: bool) -> None:
+def up(file: Path | None, foxglove: bool, tls: Path | None, detach: bool, as_json: bool) -> None:
     """Start a stack's processes and supervise them; again, after a change of the file, apply the change."""
-    stack = read_stack(file, foxglove=foxglove)
+    stack = read_stack(file, foxglove=foxglove, tls=tls)
     folder = stack_folder(stack.name)
     try:
         ask(folder, ControlRequest(do="declare", stack=stack))
@@ -183,6 +190,30 @@ def _clear(folder: Path) -> None:
     if refused:
         message = f"{refused} processes of other users are left: end them as root"
         raise InfrastructureError(message)
+
+
+@click.command()
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
+@click.argument("hosts", nargs=-1, metavar="NAME[=ADDRESS,..]...")
+@click.option(
+    "--viewer", "viewers", multiple=True, metavar="NAME", help="One that sees stacks; may be repeated."
+)
+@click.option("--days", type=click.IntRange(1, 3650), default=730, show_default=True, help="Valid so long.")
+def certificates(folder: Path, hosts: tuple[str, ...], viewers: tuple[str, ...], days: int) -> None:
+    """Make certificates for machines that meet over TLS: FOLDER/NAME for each, to be copied there.
+
+    The authority in FOLDER is made the first time; its key stays there. Nothing is overwritten.
+    """
+    installed("cryptography", "tls")
+    from deploy.config.certificates import Machine, write_certificates  # noqa: PLC0415 - needs that package
+
+    machines = [Machine.parse(one, "host") for one in hosts] + [
+        Machine.parse(one, "viewer") for one in viewers
+    ]
+    if not machines:
+        raise BadSpecError("for whom? zenfi certificates FOLDER NAME[=ADDRESS,..]... [--viewer NAME]")
+    for one in write_certificates(folder, machines, days):
+        click.echo(one)
 
 
 def _the_only() -> Path:

@@ -22,6 +22,7 @@ from pydantic import ValidationError
 from deploy.compose.control import ProcessView, StackView
 from deploy.compose.stack_file import Bus
 from deploy.compose.system.process_tree import MARK, NAMESPACE
+from deploy.config.link_security import access_control, tls_settings
 from services.bus import announce
 from services.bus.session import BusAddress, hand_over, open_session
 
@@ -29,7 +30,7 @@ STATE = "supervisor/state"
 """Answers queries with a :class:`StackView`."""
 
 _ROUTER = "router"
-_ALL_STACKS = f"zenfi/stack/**/{STATE}"
+_ALL_STACKS = f"zenfi/stack/*/*/{STATE}"
 _QUERY_S = 3.0
 
 
@@ -125,15 +126,9 @@ def _settings(folder: Path, beyond: Bus) -> dict[str, object]:
         more["listen/endpoints"] = [own, *beyond.listen]
     if beyond.connect:
         more["connect/endpoints"] = list(beyond.connect)
-    tls = {
-        "root_ca_certificate": beyond.root_ca_certificate,
-        "listen_certificate": beyond.certificate,
-        "listen_private_key": beyond.private_key,
-        "connect_certificate": beyond.certificate,
-        "connect_private_key": beyond.private_key,
-        "enable_mtls": True if beyond.certificate else None,
-    }
-    return more | {f"transport/link/tls/{key}": value for key, value in tls.items() if value is not None}
+    if beyond.tls is not None:
+        more |= tls_settings(Path(beyond.tls)) | access_control()
+    return more
 
 
 def all_stacks(folder: Path) -> list[StackView]:

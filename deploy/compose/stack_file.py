@@ -166,15 +166,14 @@ class ProcessSpec(Strict):
 class Bus(Strict):
     """Zenoh beyond this machine: endpoints on which the supervisor also listens, or to which it connects.
 
-    Without TLS only loopback is allowed, unless ``insecure`` says that the network is trusted.
+    ``tls`` is the folder of this machine that ``zenfi certificates`` has made. Without TLS only loopback is
+    allowed, unless ``insecure`` says that the network is trusted.
     """
 
     listen: tuple[Text, ...] = ()
     connect: tuple[Text, ...] = ()
     insecure: bool = False
-    root_ca_certificate: Text | None = None
-    certificate: Text | None = None
-    private_key: Text | None = None
+    tls: Text | None = None
 
     @model_validator(mode="after")
     def _closed(self) -> Self:
@@ -187,9 +186,9 @@ class Bus(Strict):
             if protocol == "tcp" and host not in ("127.0.0.1", "[::1]", "localhost") and not self.insecure:
                 message = f"{endpoint}: beyond this machine use tls/, or set insecure = true"
                 raise ValueError(message)
-        wants = {e for e in self.listen if e.startswith("tls/")}
-        if wants and not (self.certificate and self.private_key and self.root_ca_certificate):
-            raise ValueError("listening on tls/ takes certificate, private_key and root_ca_certificate")
+            if protocol == "tls" and self.tls is None:
+                message = f"{endpoint}: takes certificates: tls = FOLDER, made by zenfi certificates"
+                raise ValueError(message)
         return self
 
 

@@ -133,3 +133,10 @@ def test_down_clears_what_a_killed_supervisor_left(file: Path) -> None:
 )
 def test_nonsense_is_refused_in_one_line(file: Path, arguments: list[str], told: str) -> None:  # noqa: ARG001
     assert told in refusal(*arguments)
+
+
+def test_certificates_are_made_once(tmp_path: Path) -> None:
+    made = zenfi("certificates", tmp_path / "lab", "lab-1=10.0.0.1", "lab-2", "--viewer", "laptop")
+    assert made.stdout.split() == [str(tmp_path / "lab" / name) for name in ("lab-1", "lab-2", "laptop")]
+    assert "lab-1 is there already" in refusal("certificates", tmp_path / "lab", "lab-1")
+    assert "for whom?" in refusal("certificates", tmp_path / "lab")

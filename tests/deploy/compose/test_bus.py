@@ -3,19 +3,17 @@
 import contextlib
 import shutil
 import socket
-import subprocess
 from pathlib import Path
 
-import pytest
 import zenoh
 
 from deploy.compose.bus import STATE, all_stacks, changes_key
 from deploy.compose.control import ProcessView, StackView
+from deploy.config.certificates import Machine, write_certificates
+from deploy.config.link_security import AUTHORITY
 from services.bus.session import BusAddress, open_session
 from tests.conftest import PATIENCE_S, wait_until
 from tests.deploy.compose.conftest import SLEEP, Laboratory
-
-OPENSSL = shutil.which("openssl") or ""
 
 
 def test_state_is_queried_and_changes_are_published(laboratory: Laboratory) -> None:
@@ -50,33 +48,20 @@ def test_supervisors_find_each_other_over_an_endpoint(laboratory: Laboratory) ->
     assert [view.name for view in all_stacks(first.folder)] == ["first", "second"]
 
 
-@pytest.mark.skipif(not OPENSSL, reason="openssl makes the certificates")
 def test_over_tls_only_who_has_a_certificate_is_let_in(laboratory: Laboratory) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tls/localhost:{free.getsockname()[1]}"
-    certified = _certificates(laboratory.folder)
-    outsider = {"root_ca_certificate": certified["root_ca_certificate"]}
+    ours = write_certificates(laboratory.folder / "ours", [Machine("localhost"), Machine("other")], 30)
+    (theirs,) = write_certificates(laboratory.folder / "theirs", [Machine("localhost")], 30)
+    shutil.copy(ours[0] / AUTHORITY, theirs / AUTHORITY)
     processes = {"x": {"command": SLEEP}}
-    first = laboratory.up(processes, name="first", bus={"listen": [endpoint], **certified})
-    stranger = laboratory.up(processes, name="stranger", bus={"connect": [endpoint], **outsider})
-    second = laboratory.up(processes, name="second", bus={"connect": [endpoint], **certified})
+    first = laboratory.up(processes, name="first", bus={"listen": [endpoint], "tls": str(ours[0])})
+    stranger = laboratory.up(processes, name="stranger", bus={"connect": [endpoint], "tls": str(theirs)})
+    second = laboratory.up(processes, name="second", bus={"connect": [endpoint], "tls": str(ours[1])})
     wait_until(lambda: len(all_stacks(first.folder)) > 1, PATIENCE_S)
     assert [view.name for view in all_stacks(second.folder)] == ["first", "second"]
     assert [view.name for view in all_stacks(stranger.folder)] == ["stranger"]
-
-
-def _certificates(folder: Path) -> dict[str, str]:
-    """A certificate authority and one certificate of it, for both ends."""
-    (folder / "more").write_text("subjectAltName=DNS:localhost\nextendedKeyUsage=serverAuth,clientAuth\n")
-    for command in (
-        "req -x509 -newkey rsa:2048 -nodes -keyout ca-key.pem -out ca.pem -days 2 -subj /CN=test",
-        "req -newkey rsa:2048 -nodes -keyout key.pem -out request.pem -subj /CN=localhost",
-        "x509 -req -in request.pem -CA ca.pem -CAkey ca-key.pem -CAcreateserial -extfile more -out own.pem",
-    ):
-        subprocess.run([OPENSSL, *command.split()], cwd=folder, check=True, capture_output=True)
-    names = {"root_ca_certificate": "ca.pem", "certificate": "own.pem", "private_key": "key.pem"}
-    return {field: str(folder / name) for field, name in names.items()}
 
 
 def test_a_supervisor_listens_on_no_network_by_itself(laboratory: Laboratory) -> None:

@@ -8,6 +8,8 @@ import pytest
 
 from deploy.compose.reading import read_stack
 from deploy.compose.stack_file import BackOff
+from deploy.config.certificates import Machine, write_certificates
+from deploy.config.link_security import KEY
 from deploy.errors import BadSpecError
 
 GOOD = """
@@ -59,7 +61,9 @@ def read(tmp_path: Path, text: str) -> str:
         ('[processes.supervisor]\ncommand = ["x"]', "choose another"),
         ('[bus]\nlisten = ["tcp/0.0.0.0:7447"]', "use tls/, or set insecure = true"),
         ('[bus]\nconnect = ["udp/127.0.0.1:7447"]', "tls/HOST:PORT"),
-        ('[bus]\nlisten = ["tls/0.0.0.0:7447"]', "root_ca_certificate"),
+        ('[bus]\nlisten = ["tls/0.0.0.0:7447"]', "tls = FOLDER, made by zenfi certificates"),
+        ('[bus]\nconnect = ["tls/lab-2:7447"]', "tls = FOLDER, made by zenfi certificates"),
+        ('[bus]\ntls = "nowhere"', "has no ca.pem: zenfi certificates makes such folders"),
     ],
 )
 def test_nonsense_is_refused_by_name(tmp_path: Path, more: str, told: str) -> None:
@@ -94,3 +98,17 @@ def test_the_supervisor_imports_neither_simulator_nor_compiler() -> None:
     script = f"import sys, deploy.compose.daemon; print(*sorted({heavy}))"
     answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == ""
+
+
+def test_the_folder_of_certificates_is_the_files_or_the_one_that_is_named(tmp_path: Path) -> None:
+    of_file, named = write_certificates(tmp_path, [Machine("lab-1"), Machine("lab-2")], 30)
+    file = tmp_path / "stack.toml"
+    file.write_text(GOOD + '[bus]\nlisten = ["tls/0.0.0.0:7447"]\ntls = "lab-1"')
+    assert read_stack(file).bus.tls == str(of_file)
+    assert read_stack(file, tls=named).bus.tls == str(named)
+
+
+def test_a_key_that_others_can_read_is_refused(tmp_path: Path) -> None:
+    (folder,) = write_certificates(tmp_path, [Machine("lab-1")], 30)
+    (folder / KEY).chmod(0o640)
+    assert "can be read by others: chmod 600" in read(tmp_path, GOOD + '[bus]\ntls = "lab-1"')
