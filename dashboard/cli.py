@@ -29,6 +29,7 @@ COMMANDS = {
     "bench": LazyCommand("bench", "Measure the speed of this machine."),
     "campaign": LazyCommand("campaign", "Many flights: run, resumed, compared, exported."),
     "certificates": LazyCommand("stack", "Make certificates for machines that meet over TLS."),
+    "companion": LazyCommand("stack", "Run the stages of missions whose simulator is on another host."),
     "demo": LazyCommand("campaign", "A small campaign: golden flights beside flights with faults."),
     "doctor": LazyCommand("mission", "Check what this machine allows, and fly once."),
     "down": LazyCommand("stack", "End a stack: its processes in order, then its supervisor."),

@@ -172,8 +172,7 @@ def inject_at(gate: NodeGate, fault: FaultSpec, seed: int, function: str | None)
             return not_injected(gate, fault, trigger, InjectionResult("not_activated", str(error)))
         except NeverCalledError as error:
             return not_injected(gate, fault, trigger, InjectionResult("not_reached", str(error)))
-    own = os.getpid()
-    others = [one for _, one in sorted(gate.announced.items()) if one.pid not in (target.pid, own)]
+    others = bystanders(gate.announced, target)
     call = KernelCall(
         target,
         int(request["virtual_time_ns"]),
@@ -191,6 +190,18 @@ def inject_at(gate: NodeGate, fault: FaultSpec, seed: int, function: str | None)
         rng.generator(seed, f"injection {fault.target}", fault.seed),
     )
     return record.model_copy(update={"probes": probes.sent})
+
+
+def bystanders(announced: Mapping[str, Announcement], target: Announcement) -> list[Announcement]:
+    """Who is to stand while the target is struck, by the order of names.
+
+    Who is on another host need not, and cannot be told by a pid here, where that is somebody else.
+    """
+    return [
+        one
+        for _, one in sorted(announced.items())
+        if one.boot_id == target.boot_id and one.pid not in (target.pid, os.getpid())
+    ]
 
 
 def _drawn(probes: ProbeRuns, fault: FaultSpec, trigger: Trigger, seed: int, function: str | None) -> Trigger:

@@ -75,6 +75,11 @@ from zenfi.missions import fly_mission, mission_of
 @click.option(
     "--record", type=click.Path(path_type=Path, dir_okay=False), help="Record the messages: FILE.mcap."
 )
+@click.option(
+    "--companion",
+    metavar="HOST",
+    help="Have the stages run on that host's companion computer (zenfi companion).",
+)
 @shown_in_ros
 @as_json
 def fly(
@@ -83,6 +88,7 @@ def fly(
     fault_seed: int,
     fault_over: str,
     record: Path | None,
+    companion: str | None,
     ros: RosOptions | None,
     as_json: bool,
     guards: str | None,
@@ -97,7 +103,7 @@ def fly(
     aimed = parse_fault(fault, fault_seed, fault_over) if fault is not None else None
     spec = mission_of(fault=aimed, detector=detector, **fields)
     with in_domain(ros, spec) as watch:
-        outcome = fly_mission(spec, record, watch)
+        outcome = fly_mission(spec, record, watch, companion)
     if as_json:
         click.echo(outcome.model_dump_json(by_alias=True))
     else:

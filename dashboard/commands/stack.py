@@ -14,7 +14,7 @@ from dashboard.analysis.extras import installed
 from dashboard.terminal import stack_tables
 from dashboard.terminal.options import as_json
 from deploy.compose import control
-from deploy.compose.bus import all_stacks
+from deploy.compose.bus import all_stacks, own_address
 from deploy.compose.control import ControlRequest, NotUpError, StackView, ask, stacks_up, wait
 from deploy.compose.daemon import start
 from deploy.compose.folder import TakenError, held, log_file, logs_folder, stack_folder
@@ -214,6 +214,19 @@ def certificates(folder: Path, hosts: tuple[str, ...], viewers: tuple[str, ...],
         raise BadSpecError("for whom? zenfi certificates FOLDER NAME[=ADDRESS,..]... [--viewer NAME]")
     for one in write_certificates(folder, machines, days):
         click.echo(one)
+
+
+@click.command()
+def companion() -> None:
+    """Run the stages of missions whose simulator is on another host: a process of a stack file."""
+    address = own_address()
+    if address is None:
+        raise BadSpecError(
+            "zenfi companion is the command of a process in a stack file: see docs/two_hosts.md"
+        )
+    from deploy.workers.companion import serve  # noqa: PLC0415 - loads all that flies
+
+    serve(address)
 
 
 def _the_only() -> Path:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deploy.config.workdir import mission_folder
 from deploy.errors import DisturbedFlightError, InfrastructureError
+from deploy.mission.companion_orders import FlightTerms
+from deploy.mission.far_processes import Companion, TwoHostProcesses
 from deploy.mission.fork_server import ForkServer
 from deploy.mission.judgement import judge_properties
 from deploy.mission.listening import MissionBus
@@ -83,27 +86,44 @@ def fly(
         clock = address.clock if spec.clock == "realtime" else None
         if clock is not None:
             FlightClock.create(clock)
-        with session.open_session(address, "router", router=True) as bus:
+        companion = server.companion
+        more = companion.bus_settings if companion is not None else {}
+        with session.open_session(address, "router", router=True, more=more) as bus:
             held = spec.fault is not None or spec.detector is not None
             order = MessageOrder(recorder, held=held, realtime=clock is not None)
             recurs = spec.fault is not None and spec.fault.recurs
             listening = MissionBus(bus, recorder, order, recurs=recurs)
             fault = spec.fault
             traced = aimed_at(fault) if fault is not None and fault.recurs_in_instructions else ""
-            supervisor = Supervisor(
-                server, address, spec.limits.hang_cpu_s, traced=traced, armed=armed_call(fault)
+            terms = FlightTerms(
+                namespace=address.namespace,
+                hang_cpu_s=spec.limits.hang_cpu_s,
+                traced=traced,
+                armed=armed_call(fault),
             )
-            try:
+            with _processes(server, address, terms, companion) as processes:
                 true_path = folder / "true_path.f64"
                 mission = _Mission(
-                    spec, server, supervisor, listening, NodeSetups(spec, server.stack, clock, true_path)
+                    spec, server, processes, listening, NodeSetups(spec, server.stack, clock, true_path)
                 )
                 flown = mission.fly(order, taps, true_path, keep_messages=keep_messages)
-            finally:
-                supervisor.close()
     # All that a flight takes, its end included.
     outcome = flown.outcome.model_copy(update={"wall_s": time.monotonic() - begin})
     return replace(flown, outcome=outcome)
+
+
+@contextmanager
+def _processes(
+    server: ForkServer, address: session.BusAddress, terms: FlightTerms, companion: Companion | None
+) -> Iterator[Supervisor | TwoHostProcesses]:
+    """The processes of a mission, none started yet; whatever is left of them in the end is killed."""
+    here = Supervisor(server, address, terms.hang_cpu_s, traced=terms.traced, armed=terms.armed)
+    with closing(here):
+        if companion is None:
+            yield here
+            return
+        with TwoHostProcesses.opened(here, companion, terms, address.folder) as processes:
+            yield processes
 
 
 class _Mission:
@@ -113,7 +133,7 @@ class _Mission:
         self,
         spec: MissionSpec,
         server: ForkServer,
-        supervisor: Supervisor,
+        supervisor: Supervisor | TwoHostProcesses,
         bus: MissionBus,
         setups: NodeSetups,
     ) -> None:
@@ -140,7 +160,7 @@ class _Mission:
         _offer(taps, order.rest(end.time_ns))
         trace = recorder.trace(end.time_ns)
         outcome = mission_outcome(
-            self._spec, end, trace, bus, self._supervisor.members, fixed_pids=self._server.fixed_pids
+            self._spec, end, trace, bus, self._supervisor.members, fixed_pids=self._server.stage_pids_fixed
         )
         path = read(true_path, end.time_ns)
         if self._spec.fault is None:
@@ -163,7 +183,7 @@ class _Mission:
             if since_s > POLL_S:
                 if bus.last_message_s > last_look:
                     quiet_s = stopped_s = 0.0
-                elif stopped := self._supervisor.stopped():
+                elif stopped := self._supervisor.refresh():
                     # Who goes on in time has all the time that others have.
                     quiet_s, stopped_s = 0.0, stopped_s + min(since_s, LOOK_S)
                     self._refuse_stopped(stopped, stopped_s)

@@ -15,6 +15,7 @@ import socket
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from deploy.config.processes import STACK, ProcessDeclaration
 from deploy.mission.fork_protocol import EXIT_REAPER, MESSAGE_SIZE, ZENOH_RUNTIME, server_argument
@@ -24,6 +25,9 @@ from services.runtime.setup import NodeSetup
 from services.system import plug_ins
 from services.system.process_stat import pid_of
 from services.system.shared_stats import SharedStats
+
+if TYPE_CHECKING:
+    from deploy.mission.far_processes import Companion
 
 _GONE = "the fork server is gone"
 
@@ -84,12 +88,19 @@ class ForkServer:
         if not started:
             self.close()
             raise ForkServerError("the fork server did not start")
+        self.companion: Companion | None = None
+        """The computer on which stages run in this host's place, None for here."""
         told = json.loads(started)
         self.fixed_pids = bool(told["fixed_pids"])
         """Whether nodes have the same pids in every flight (:mod:`injector.reproducible.pid_namespace`)."""
         self.installation = "-".join(filter(None, (str(told["installation"]), plug_ins.digest())))
         """A name for all that decides on a node's code (:mod:`injector.reproducible.compiled_code`), with the
         plug-ins (:func:`services.system.plug_ins.digest`)."""
+
+    @property
+    def stage_pids_fixed(self) -> bool:
+        """Whether stages have the same pids in every flight, wherever they run."""
+        return self.fixed_pids if self.companion is None else self.companion.fixed_pids
 
     @property
     def pid(self) -> int:

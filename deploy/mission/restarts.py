@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from deploy.errors import InfrastructureError
+from deploy.mission.far_processes import TwoHostProcesses
 from deploy.mission.fork_protocol import EXIT_BUG
 from deploy.mission.listening import MissionBus
 from deploy.mission.outcome import MissionEnd
@@ -28,7 +29,7 @@ class RestartPolicy:
     def __init__(
         self,
         spec: MissionSpec,
-        supervisor: Supervisor,
+        supervisor: Supervisor | TwoHostProcesses,
         setups: NodeSetups,
         bus: MissionBus,
         end: MissionEnd,
@@ -68,6 +69,7 @@ class RestartPolicy:
 
         :raises InfrastructureError: if it is alive: then requests got lost, an infrastructure error.
         """
+        self._supervisor.refresh()
         members = self._supervisor.members
         ungated = sum(int(one.stats.page["ungated"]) for one in members.values())
         deadline = time.monotonic() + BURIAL_S

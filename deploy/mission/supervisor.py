@@ -216,8 +216,11 @@ class Supervisor:
             member.killed_for_hanging = True
             member.kill()
 
-    def stopped(self) -> list[str]:
-        """The processes that somebody has stopped (SIGSTOP): nodes and sidecars by name, and proxies."""
+    def refresh(self) -> list[str]:
+        """Have the counters of all members be what they are now, as shared pages are anyway.
+
+        The processes that somebody has stopped (SIGSTOP): nodes and sidecars by name, and proxies.
+        """
         alive = [member for member in self.members.values() if member.alive]
         nodes = [member.process.name for member in alive if is_stopped(member.pid)]
         proxies = [one.process.name for one in alive if is_stopped(self._server.reaper_of(one.pid))]

@@ -118,6 +118,20 @@ class SharedStats:
         """
         return _counts(self.page, end_ns)
 
+    def content(self) -> bytes:
+        """All that is in the page now."""
+        return self._map[:]
+
+    def replace(self, content: bytes) -> None:
+        """Have the page hold what another one did, on another host say.
+
+        :raises ValueError: if that is of another size.
+        """
+        if len(content) != PAGE_BYTES:
+            message = f"a page has {PAGE_BYTES} bytes, not {len(content)}"
+            raise ValueError(message)
+        self._map[:] = content
+
     def close(self) -> None:
         """Unmap the page and close its descriptor."""
         del self.page

@@ -1265,4 +1265,16 @@ MUTANTS: list[Mutant] = [
             "self._client.scheduler_info(n_workers=-1)",
         ),
     ),
+    *_of(
+        "deploy/config/link_security.py",
+        "tests/deploy/config/test_link_security.py",
+        ("link: who connects proves nothing", '"enable_mtls": True', '"enable_mtls": False'),
+        ("link: any machine may answer", '"verify_name_on_connect": True', '"verify_name_on_connect": False'),
+        ("link: viewers do all", '"subjects": ["local", "host"]', '"subjects": ["local", "host", "viewer"]'),
+    ),
+    *_of(
+        "injector/node.py",
+        "tests/injector/test_node.py",
+        ("injector: a pid of another host is one of ours", "if one.boot_id == target.boot_id and ", "if "),
+    ),
 ]

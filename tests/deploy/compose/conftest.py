@@ -70,6 +70,15 @@ class Laboratory:
         self.ask("down")
         wait_until(lambda: self.started[-1].process.poll() is not None, PATIENCE_S)
 
+    def clear(self) -> None:
+        """Kill all that is left of the stacks."""
+        for started in self.started:
+            started.process.kill()
+            started.process.wait()
+            if started.process.stdin is not None:
+                started.process.stdin.close()
+            clear_marked(started.view.folder)
+
 
 @pytest.fixture
 def laboratory(monkeypatch: pytest.MonkeyPatch) -> Iterator[Laboratory]:
@@ -78,9 +87,4 @@ def laboratory(monkeypatch: pytest.MonkeyPatch) -> Iterator[Laboratory]:
         monkeypatch.setenv("XDG_RUNTIME_DIR", name)
         made = Laboratory(Path(name))
         yield made
-        for started in made.started:
-            started.process.kill()
-            started.process.wait()
-            if started.process.stdin is not None:
-                started.process.stdin.close()
-            clear_marked(started.view.folder)
+        made.clear()

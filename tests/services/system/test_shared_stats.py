@@ -32,3 +32,13 @@ def test_a_node_that_makes_no_steps_reports_what_it_counted() -> None:
     with closing(SharedStats.create("node")) as stats:
         stats.page["malformed"] = 2
         assert stats.counts(1000)["malformed"] == 2
+
+
+def test_a_page_of_another_host_reads_as_that_one() -> None:
+    with closing(SharedStats.create("there")) as there, closing(SharedStats.create("here")) as here:
+        there.page["malformed"] = 2
+        here.replace(there.content())
+        there.page["malformed"] = 3
+        assert here.counts(1000)["malformed"] == 2
+        with pytest.raises(ValueError, match="a page has"):
+            here.replace(there.content()[1:])
