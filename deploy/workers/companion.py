@@ -41,7 +41,9 @@ from services.runtime.setup import NodeSetup
 NAME = "companion"
 """Under which it is announced in its stack once it takes orders."""
 
-_TOKENS_S = 5.0
+TOKEN_S = 10.0
+"""Longest wait for the token of a mission that is to begin."""
+
 _PAUSE_S = 0.001
 
 
@@ -94,6 +96,16 @@ class StageProcesses:
         if setup.clock is not None:
             raise BadSpecError("a flight in real time has a clock that all processes share: use lockstep")
         self.supervisor.start(process, setup)
+
+    def kill(self, name: str) -> None:
+        """Kill a process; its end will be counted as a hang.
+
+        :raises BadSpecError: if it was never started.
+        """
+        if name not in self.supervisor.members:
+            message = f"{name} was not started here"
+            raise BadSpecError(message)
+        self.supervisor.kill_as_hung(self.supervisor.members[name])
 
     def watch(self) -> None:
         """Notice who has ended or hangs.
@@ -216,7 +228,7 @@ class CompanionComputer:
         if order.do == "start" and order.setup is not None:
             flight.start(order.setup)
         elif order.do == "kill":
-            flight.supervisor.kill_as_hung(flight.supervisor.members[order.name])
+            flight.kill(order.name)
         elif order.do == "end":
             flight.supervisor.end(order.grace_s, lambda: time.sleep(_PAUSE_S))
         elif order.do == "close":
@@ -227,10 +239,17 @@ class CompanionComputer:
     def _open(self, terms: FlightTerms) -> None:
         if self._flight is not None:
             raise InfrastructureError("another mission is under way here: one at a time")
-        alive = self._bus.liveliness().get(f"{FLIGHTS}/{terms.token}", timeout=_TOKENS_S)
-        if not any(reply.ok is not None for reply in alive):
-            raise InfrastructureError("the mission is not announced: nobody would know of its end")
+        deadline = time.monotonic() + TOKEN_S
+        while not self._announced(terms.token):
+            if time.monotonic() > deadline:
+                raise InfrastructureError("the mission is not announced: nobody would know of its end")
+            time.sleep(_PAUSE_S)
         self._flight = StageProcesses(self._server, self._stack, terms)
+
+    def _announced(self, token: str) -> bool:
+        """Whether a mission is; its token may come later over the routers than its first order."""
+        found = self._bus.liveliness().get(f"{FLIGHTS}/{token}", timeout=TOKEN_S)
+        return any(reply.ok is not None for reply in found)
 
     def close(self) -> None:
         """End the mission that is under way, if there is one."""

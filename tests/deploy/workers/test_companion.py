@@ -34,8 +34,12 @@ from tests.bench.proofs import CHANCE
 from tests.conftest import PATIENCE_S, descendants, node, wait_until
 from tests.dashboard.command import ZENFI
 from tests.deploy.compose.conftest import SLEEP, Laboratory
+from tests.deploy.workers.slow_link import slow_link
 
 SHORT = MissionSpec(seed=7, limits=Limits(mission_time_s=4.0))
+
+DELAY_S = 0.005
+"""Of a slow link, each way."""
 
 CRASHING = FaultSpec(target="rrt_star", model="opcode", bits=4)
 
@@ -46,24 +50,32 @@ class TwoStacks:
 
     laboratory: Laboratory
     near: BusAddress = field(init=False)
+    port: int = field(init=False)
+    certificates: str = field(init=False)
 
     def __post_init__(self) -> None:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
-            endpoint = f"tls/127.0.0.1:{free.getsockname()[1]}"
+            self.port = free.getsockname()[1]
+        endpoint = f"tls/127.0.0.1:{self.port}"
         machines = [Machine("far", ("127.0.0.1",)), Machine("near")]
-        far, near = map(str, write_certificates(self.laboratory.folder / "certificates", machines, 30))
+        far, self.certificates = map(
+            str, write_certificates(self.laboratory.folder / "certificates", machines, 30)
+        )
         companion = {
             "command": [ZENFI, "companion"],
             "ready": {"announces": "companion", "within_s": PATIENCE_S},
             "restart": "always",
         }
         self.laboratory.up({"companion": companion}, name="far", bus={"listen": [endpoint], "tls": far})
-        view = self.laboratory.up(
-            {"x": {"command": SLEEP}}, name="near", bus={"connect": [endpoint], "tls": near}
-        )
-        self.near = BusAddress(view.folder, view.namespace)
+        self.near = self.up("near", self.port)
         self.await_companion()
+
+    def up(self, name: str, port: int) -> BusAddress:
+        """Another stack on the near side, which reaches the far one at that port."""
+        bus = {"connect": [f"tls/127.0.0.1:{port}"], "tls": self.certificates}
+        view = self.laboratory.up({"x": {"command": SLEEP}}, name=name, bus=bus)
+        return BusAddress(view.folder, view.namespace)
 
     @property
     def companion(self) -> int:
@@ -145,6 +157,23 @@ def test_a_mission_on_two_stacks_has_the_outcome_of_one(
         assert on_two.injection.status == "injected"
     assert (on_two.nodes["planning"].restarts > 0) == (spec.fault is CRASHING)
     assert stacks.stages() == []
+
+
+@pytest.mark.soak
+def test_a_link_that_delays_changes_no_flight(server: ForkServer, stacks: TwoStacks) -> None:
+    server.companion = None
+    on_one = PairFlyer(server).fly(SHORT)
+    stacks.await_companion()
+    with slow_link(stacks.port, DELAY_S) as link:
+        server.companion = Companion(host(), stacks.up("slow", link.port))
+        before = link.bytes_passed
+        try:
+            on_two = PairFlyer(server).fly(SHORT)
+        finally:
+            server.companion.close()
+            server.companion = None
+        assert link.bytes_passed - before > 100_000  # it has gone over that link
+    assert told(on_two) == told(on_one)
 
 
 def test_a_stage_that_somebody_kills_there_disturbs_the_flight(
@@ -229,6 +258,7 @@ def _terms(name: str) -> FlightTerms:
     return FlightTerms(namespace=f"zenfi/{name}", hang_cpu_s=1.0, traced="", armed=None)
 
 
+@pytest.mark.soak
 def test_a_mission_that_is_not_announced_is_not_begun(far: Companion) -> None:
     with pytest.raises(InfrastructureError, match="nobody would know of its end"):
         far.order(CompanionOrder(do="open", terms=_terms("silent")))
