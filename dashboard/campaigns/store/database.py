@@ -89,7 +89,7 @@ class Database(ABC):
             raise StoreLostError(message) from error
 
     def refuse_read_only(self) -> None:
-        """Before anything is changed.
+        """Refuse to change a store that was opened only to be read.
 
         :raises BadSpecError: if it was opened only to be read.
         """
