@@ -222,6 +222,14 @@ class TwoHostProcesses:
         self._take(report)
         return self._here.refresh() + report.stopped
 
+    def pids(self) -> list[int]:
+        """The processes on this host."""
+        return self._here.pids()
+
+    def cpu_s(self) -> float:
+        """Processor time of the nodes on this host."""
+        return self._here.cpu_s()
+
     def kill_hung(self) -> None:
         """Kill the nodes here that have used more thread time than a hang is granted, as is done there."""
         self._here.kill_hung()

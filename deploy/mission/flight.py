@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from deploy.config.workdir import mission_folder
-from deploy.errors import DisturbedFlightError, InfrastructureError
+from deploy.errors import InfrastructureError
 from deploy.mission.companion_orders import FlightTerms
 from deploy.mission.far_processes import Companion, TwoHostProcesses
 from deploy.mission.fork_server import ForkServer
@@ -18,6 +18,7 @@ from deploy.mission.listening import MissionBus
 from deploy.mission.outcome import MissionEnd, mission_outcome
 from deploy.mission.restarts import POLL_S, RestartPolicy
 from deploy.mission.setups import NodeSetups, armed_call
+from deploy.mission.silence import STALL_S, Silence
 from deploy.mission.supervisor import Supervisor
 from deploy.recording.mcap_recorder import MessageTap
 from deploy.recording.ordering import MessageOrder, SentMessage
@@ -31,11 +32,8 @@ from services.models.outcome import Outcome
 from services.runtime.clock import FlightClock
 from sim.mission.true_path import TruePath, read
 
-STALL_S = 20.0
-"""Wall time without a message or promise after which somebody must be hanging outside a step."""
-
-LOOK_S = 1.0
-"""Between two looks no more wall time counts than this: the machine, or we, stood still."""
+NODES = 5
+"""At most so many are in a step at once, each with the thread time that a hang is granted."""
 
 GRACE_S = 2.0
 """Longest wait for the processes to end by themselves after the mission."""
@@ -173,7 +171,7 @@ class _Mission:
         """Handle messages and processes until all up to the mission's end is recorded."""
         bus, recorder, end = self._bus, self._bus.recorder, self._end
         last_look = bus.last_message_s = time.monotonic()
-        quiet_s = stopped_s = 0.0
+        silence = Silence(self._supervisor, NODES * self._spec.limits.hang_cpu_s)
         while end.result is None or not recorder.complete(end.time_ns):
             if bus.take_in(POLL_S):
                 end.look(recorder)
@@ -181,32 +179,14 @@ class _Mission:
                     _offer(taps, order.take(end.time_ns))
             since_s = time.monotonic() - last_look
             if since_s > POLL_S:
-                if bus.last_message_s > last_look:
-                    quiet_s = stopped_s = 0.0
-                elif stopped := self._supervisor.refresh():
-                    # Who goes on in time has all the time that others have.
-                    quiet_s, stopped_s = 0.0, stopped_s + min(since_s, LOOK_S)
-                    self._refuse_stopped(stopped, stopped_s)
-                else:
-                    quiet_s += min(since_s, LOOK_S)
+                silence.look(since_s, heard=bus.last_message_s > last_look)
                 last_look += since_s
                 self._restarts.handle_deaths()
                 self._supervisor.kill_hung()
-                if quiet_s > STALL_S:
+                if silence.is_stall():
                     self._handle_stall()
-                    quiet_s = 0.0
             if end.result == "stack_failure":
                 return
-
-    @staticmethod
-    def _refuse_stopped(stopped: Sequence[str], for_s: float) -> None:
-        """Give a flight up that somebody has stopped for long.
-
-        :raises DisturbedFlightError: if so.
-        """
-        if for_s > STALL_S:
-            message = f"{', '.join(stopped)} was stopped from outside"
-            raise DisturbedFlightError(message)
 
     def _handle_stall(self) -> None:
         """Kill the process that keeps all others waiting without computing.

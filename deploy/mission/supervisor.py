@@ -24,7 +24,7 @@ from services.models.faults.specification import Trigger
 from services.models.outcome import KernelUse, NodeReport, NodeResult
 from services.models.pilots import numbered
 from services.runtime.setup import NodeSetup
-from services.system.process_stat import main_thread_stat
+from services.system.process_stat import main_thread_stat, process_stat
 from services.system.shared_stats import COMPUTING, MESSAGING, WAITING, SharedStats
 from services.system.signal_names import signal_name
 
@@ -225,6 +225,22 @@ class Supervisor:
         nodes = [member.process.name for member in alive if is_stopped(member.pid)]
         proxies = [one.process.name for one in alive if is_stopped(self._server.reaper_of(one.pid))]
         return nodes + [f"the proxy of {name}" for name in proxies]
+
+    def pids(self) -> list[int]:
+        """The processes that are alive: nodes with the programs that they run, sidecars, proxies."""
+        alive = [member for member in self.members.values() if member.alive]
+        programs = [int(member.stats.page["program"]) for member in alive]
+        proxies = [self._server.reaper_of(member.pid) for member in alive]
+        return [pid for pid in (*(member.pid for member in alive), *programs, *proxies) if pid > 0]
+
+    def cpu_s(self) -> float:
+        """Processor time of the nodes that are alive, with the programs that they run; of sidecars none."""
+        nodes = [one for one in self.members.values() if one.alive and not one.process.sidecar]
+        used_s = 0.0
+        for pid in (pid for one in nodes for pid in (one.pid, int(one.stats.page["program"])) if pid > 0):
+            with contextlib.suppress(OSError):  # it has just ended
+                used_s += process_stat(pid).cpu_s
+        return used_s
 
     def end(self, grace_s: float, meanwhile: Callable[[], object]) -> None:
         """Wait for the members to end by themselves, calling ``meanwhile`` again and again; kill the rest.

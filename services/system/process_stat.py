@@ -83,6 +83,14 @@ def main_thread_stat(pid: int) -> ProcessStat:
     return _read(f"/proc/{pid}/task/{pid}/stat")
 
 
+def wants_processor(pid: int) -> bool:
+    """Whether a thread of a process runs, or would if it were given a processor; not once it is gone."""
+    try:
+        return any(_read(f"{one}/stat").state == "R" for one in Path(f"/proc/{pid}/task").iterdir())
+    except OSError:  # a thread has ended meanwhile
+        return False
+
+
 def _read(path: str) -> ProcessStat:
     # Without a file object: a study asks several times for each injection.
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)

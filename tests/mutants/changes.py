@@ -216,6 +216,22 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "deploy/mission/silence.py",
+        "tests/deploy/mission/test_silence.py",
+        ("silence: who computes is to blame", " or not computes(self._watched.pids())", " or True"),
+        ("silence: spoilt threads compute for ever", "used_s > STALL_S + self._most_cpu_s or", "False or"),
+        (
+            "silence: the machine's own pause counts",
+            "self._quiet_s += min(since_s, LOOK_S)",
+            "self._quiet_s += since_s",
+        ),
+        (
+            "silence: who goes on in time is to blame",
+            "self._quiet_s, self._stopped_s = 0.0, ",
+            "self._stopped_s = ",
+        ),
+    ),
+    *_of(
         "dashboard/campaigns/store/columns.py",
         "tests/dashboard/campaigns/store/test_columns.py",
         (

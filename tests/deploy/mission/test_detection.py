@@ -11,7 +11,7 @@ from deploy.config.definitions import inlined
 from deploy.config.platform import load_platform
 from deploy.config.processes import STACK
 from deploy.errors import BadSpecError
-from deploy.mission import flight
+from deploy.mission import silence
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from deploy.pairing.golden_twin import PairFlyer
@@ -109,7 +109,7 @@ def test_a_detector_that_fails_stops_nobody(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     golden = watched[gate]
-    monkeypatch.setattr(flight, "STALL_S", 3.0)
+    monkeypatch.setattr(silence, "STALL_S", 3.0)
     asked = spec({"scheme": "gaussian", "gate": gate})
     module = f"tests.fixtures.nodes.{fixture}"
     failing = ForkServer({**STACK, "detector": replace(STACK["detector"], module=module)})

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import pytest
 
 from deploy.errors import DisturbedFlightError
-from deploy.mission import flight
+from deploy.mission import silence
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
 from services.models.faults.specification import FaultSpec, Trigger
@@ -114,7 +114,7 @@ def test_a_node_that_somebody_ends_makes_no_outcome(name: str, number: int, serv
 def test_a_node_that_somebody_stops_makes_no_outcome(
     server: ForkServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(flight, "STALL_S", 0.5)
+    monkeypatch.setattr(silence, "STALL_S", 0.5)
     with pytest.raises(DisturbedFlightError, match="planning was stopped from outside"):
         fly_and_kill(server, SPEC, "planning", signal.SIGSTOP)
     assert_nothing_is_left(server)
@@ -124,7 +124,7 @@ def test_a_proxy_that_somebody_stops_makes_no_outcome(
     server: ForkServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The struck node is silent as well, and not to blame."""
-    monkeypatch.setattr(flight, "STALL_S", 2.0)
+    monkeypatch.setattr(silence, "STALL_S", 2.0)
     never = FaultSpec(target="pid", trigger=Trigger(invocation=10**9))
 
     def stop() -> None:

@@ -9,11 +9,11 @@ import pytest
 
 from deploy.config.processes import STACK
 from deploy.errors import InfrastructureError
-from deploy.mission import flight
+from deploy.mission import silence
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from injector.tracing import ptrace
-from services.models.faults.specification import FaultSpec
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import Limits, MissionSpec
 from services.system.process_stat import process_stat
 from tests.conftest import forked, node, wait_until
@@ -90,7 +90,7 @@ def test_a_node_that_comes_back_at_the_end_waits_for_nobody() -> None:
 
 
 def test_what_keeps_a_node_waiting_after_its_restart_is_no_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(flight, "STALL_S", 0.5)
+    monkeypatch.setattr(silence, "STALL_S", 0.5)
     fault = FaultSpec(level="source", target="collision_check.time_to_collision", seed=4)
     struck = AT_THE_END.model_copy(update={"fault": fault})
     with (
@@ -98,6 +98,17 @@ def test_what_keeps_a_node_waiting_after_its_restart_is_no_fault(monkeypatch: py
         pytest.raises(InfrastructureError, match="no process sent a message"),
     ):
         fly(struck, server)
+
+
+def test_who_computes_for_long_is_not_to_blame_for_the_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not even the node at which a fault is aimed: on a busy machine any step takes long."""
+    monkeypatch.setattr(silence, "STALL_S", 0.3)
+    never = FaultSpec(target="pid", trigger=Trigger(invocation=10**9))
+    busy = MissionSpec(seed=7, fault=never, limits=Limits(mission_time_s=4.4, hang_cpu_s=20.0))
+    with replaced("control", by="computes_long") as server:
+        outcome = fly(busy, server).outcome
+    assert (outcome.nodes["control"].hangs, outcome.nodes["control"].restarts) == (0, 0)
+    assert outcome.result == "timeout"
 
 
 def test_a_bug_of_ours_is_no_result() -> None:
