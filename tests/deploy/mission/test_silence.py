@@ -107,6 +107,8 @@ def test_a_machine_that_stood_still_counts_as_one_second() -> None:
 def test_who_was_stopped_may_go_on_for_a_while() -> None:
     flight = Flight()
     heard = Silence(flight, most_cpu_s=15.0)
+    for _ in range(15):
+        heard.look(1.0, heard=False)
     flight.stopped = ["planning"]
     for _ in range(20):
         heard.look(1.0, heard=False)
