@@ -223,7 +223,7 @@ class TwoHostProcesses:
         return self._here.refresh() + report.stopped
 
     def pids(self) -> list[int]:
-        """The processes on this host."""
+        """The processes of the mission that are alive on this host; those of the companion are not seen."""
         return self._here.pids()
 
     def cpu_s(self) -> float:
