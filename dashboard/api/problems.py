@@ -25,6 +25,9 @@ from deploy.errors import BadSpecError, InfrastructureError
 MEDIA_TYPE = "application/problem+json"
 MOST_ERRORS = 20
 
+LONGEST = 2000
+"""Characters of what is told of one problem: who sent a name of a megabyte need not have it back."""
+
 logger = logging.getLogger("zenfi.api")
 
 
@@ -79,8 +82,14 @@ def answer(
 ) -> JSONResponse:
     """A response that tells a problem."""
     title = HTTPStatus(status).phrase
-    problem = Problem(title=title, status=status, detail=detail, errors=list(errors))
+    told = [one.model_copy(update={"message": _short(one.message)}) for one in errors]
+    problem = Problem(title=title, status=status, detail=_short(detail), errors=told)
     return JSONResponse(problem.model_dump(), status, headers, MEDIA_TYPE)
+
+
+def _short(text: str) -> str:
+    """Beginning and end, where problem and remedy are."""
+    return text if len(text) <= LONGEST else f"{text[: LONGEST // 2]} ... {text[-LONGEST // 2 :]}"
 
 
 def install(app: FastAPI) -> None:
