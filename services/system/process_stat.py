@@ -84,9 +84,9 @@ def main_thread_stat(pid: int) -> ProcessStat:
 
 
 def wants_processor(pid: int) -> bool:
-    """Whether a thread of a process runs, or would if it were given a processor; not once it is gone."""
+    """Whether a thread of a process runs, or would if processor and disk let it; not once it is gone."""
     try:
-        return any(_read(f"{one}/stat").state == "R" for one in Path(f"/proc/{pid}/task").iterdir())
+        return any(_read(f"{one}/stat").state in "RD" for one in Path(f"/proc/{pid}/task").iterdir())
     except OSError:  # a thread has ended meanwhile
         return False
 
