@@ -266,7 +266,7 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
-        "dashboard/campaigns/results/detection_effects.py",
+        "dashboard/campaigns/store/columns.py",
         "tests/dashboard/campaigns/test_flight_record.py",
         ("compare: beside another seed", "(wanted >= 0) &", "(wanted >= 0) |"),
     ),

@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from dashboard.campaigns.results.detection_effects import partners
-from dashboard.campaigns.results.summary import by_cell
 from dashboard.campaigns.spec import Cell, cells
 from dashboard.campaigns.statistics.differences import quantile_interval
 from dashboard.campaigns.statistics.proportions import Interval, Pairs, holm, mcnemar, newcombe_paired
-from dashboard.campaigns.store.columns import Rows
+from dashboard.campaigns.store.columns import Rows, by_cell, partners
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 from deploy.errors import BadSpecError

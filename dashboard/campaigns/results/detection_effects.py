@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dashboard.campaigns.flight_record import FlightRecord, Result
 from dashboard.campaigns.spec import Cell
-from dashboard.campaigns.store.columns import Rows, of_records
+from dashboard.campaigns.store.columns import Rows, of_records, partners
 
 Effect = Literal["unaffected", "missed", "caught", "recovered"]
 EFFECTS: tuple[Effect, ...] = get_args(Effect)
@@ -48,24 +48,6 @@ def effect(flight: Result, unprotected: Result | None = None) -> Effect | None:
     """
     found = _effects(_alone(flight), _alone(unprotected) if unprotected is not None else None)[0]
     return EFFECTS[found] if found != NO_EFFECT else None
-
-
-def partners(runs: Rows, others: Rows, cell_of: Sequence[int]) -> NDArray[np.int64]:
-    """Of each run, where in ``others`` the run of the same number and seed is, or -1.
-
-    ``cell_of[cell]`` is the cell of ``others`` that a cell of ``runs`` is paired with, -1 for none.
-    """
-    wanted = np.asarray(cell_of, np.int64)[runs["cell"]]
-    order = np.lexsort((others["number"], others["cell"]))
-    keys = others["cell"][order] << 32 | others["number"][order]
-    asked = wanted << 32 | runs["number"]
-    found = np.searchsorted(keys, asked)
-    found[found == len(keys)] = 0
-    if not len(keys):
-        return np.full(len(runs), -1)
-    at = order[found]
-    same = (keys[found] == asked) & (wanted >= 0) & (others["seed"][at] == runs["seed"])
-    return np.where(same, at, -1)
 
 
 def _alone(flight: Result) -> Rows:

@@ -13,7 +13,7 @@ from pydantic import Field
 from dashboard.campaigns.results.detection_effects import EFFECTS, NO_EFFECT, Effect, effects
 from dashboard.campaigns.spec import Cell, cells, unprotected_arms
 from dashboard.campaigns.statistics.proportions import median_interval, wilson
-from dashboard.campaigns.store.columns import Rows
+from dashboard.campaigns.store.columns import Rows, by_cell
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 from services.models.base import Strict
@@ -62,12 +62,6 @@ def summarise(cells: Sequence[Cell], runs: Rows, unprotected: Mapping[str, str])
         _summary(cell, runs, members, made[members])
         for cell, members in zip(cells, by_cell(runs, len(cells)), strict=True)
     ]
-
-
-def by_cell(runs: Rows, count: int) -> list[NDArray[np.int64]]:
-    """Which of ``runs`` are of each of ``count`` cells, in their order."""
-    order = np.argsort(runs["cell"], kind="stable")
-    return np.split(order, np.searchsorted(runs["cell"][order], np.arange(1, count)))
 
 
 def _summary(cell: Cell, runs: Rows, members: NDArray[np.int64], made: NDArray[np.int64]) -> CellSummary:

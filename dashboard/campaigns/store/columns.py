@@ -112,6 +112,30 @@ def _of_record(places: dict[Cell, int], record: FlightRecord) -> tuple[object, .
     return (*run, *values, has_twin, as_twin)
 
 
+def by_cell(runs: Rows, count: int) -> list[NDArray[np.int64]]:
+    """Which of ``runs`` are of each of ``count`` cells, in their order."""
+    order = np.argsort(runs["cell"], kind="stable")
+    return np.split(order, np.searchsorted(runs["cell"][order], np.arange(1, count)))
+
+
+def partners(runs: Rows, others: Rows, cell_of: Sequence[int]) -> NDArray[np.int64]:
+    """Of each run, where in ``others`` the run of the same number and seed is, or -1.
+
+    ``cell_of[cell]`` is the cell of ``others`` that a cell of ``runs`` is paired with, -1 for none.
+    """
+    wanted = np.asarray(cell_of, np.int64)[runs["cell"]]
+    order = np.lexsort((others["number"], others["cell"]))
+    keys = others["cell"][order] << 32 | others["number"][order]
+    asked = wanted << 32 | runs["number"]
+    found = np.searchsorted(keys, asked)
+    found[found == len(keys)] = 0
+    if not len(keys):
+        return np.full(len(runs), -1)
+    at = order[found]
+    same = (keys[found] == asked) & (wanted >= 0) & (others["seed"][at] == runs["seed"])
+    return np.where(same, at, -1)
+
+
 _HAS_TWIN = sa.func.coalesce(ResultRow.twin_digest != "", sa.false())
 _AS_TWIN = sa.func.coalesce(ResultRow.twin_digest == ResultRow.digest, sa.false())
 _QUERY = (

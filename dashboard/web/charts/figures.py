@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dashboard.campaigns.results.summary import CellSummary, by_cell, summarise
+from dashboard.campaigns.results.summary import CellSummary, summarise
 from dashboard.campaigns.spec import Cell, cells, unprotected_arms
-from dashboard.campaigns.store.columns import Rows
+from dashboard.campaigns.store.columns import Rows, by_cell
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
 
