@@ -84,10 +84,12 @@ class TwoStacks:
         (one,) = view.processes
         return one.pid or 0 if one.phase == "ready" else 0
 
-    def await_companion(self) -> None:
+    def await_companion(self, after: int = 0) -> None:
+        """Wait until one takes orders, another one than that of the pid ``after``."""
+
         def ready() -> bool:
             time.sleep(0.1)  # a fork server is to start meanwhile
-            return self.companion > 0
+            return self.companion not in (0, after)
 
         wait_until(ready, PATIENCE_S)
 
@@ -218,8 +220,7 @@ def test_a_flight_whose_companion_is_killed_fails_and_the_next_one_flies(
         PairFlyer(server).fly(MissionSpec(seed=1))
     killer.join()
     wait_until(lambda: not any(_is(one, name) for one, name in family.items()), PATIENCE_S)
-    stacks.await_companion()
-    assert stacks.companion != pid
+    stacks.await_companion(after=pid)
     server.companion = Companion(host(), stacks.near)
     assert PairFlyer(server).fly(SHORT).result == "timeout"
 
