@@ -52,8 +52,9 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
             measure(node, failing, "odometry", pose)
             if (felt := flight.felt) is not None:
                 measure(node, failing, "imu", telemetry.imu(header(now_ns, frames.BASE_LINK), felt))
-            # A frame that a newer one will have replaced when perception is free is not exposed.
-            if now_ns + TICK_NS > node.busy_until("perception", exposed_ns):
+            # A frame that a newer one will have replaced when perception is free is not exposed. Of what is
+            # at the other end of a link nobody here knows.
+            if not spec.link.is_ideal or now_ns + TICK_NS > node.busy_until("perception", exposed_ns):
                 image = telemetry.depth_image(header(now_ns, frames.CAMERA_OPTICAL), camera, flight.vehicle)
                 if measure(node, failing, "depth", image):
                     exposed_ns = now_ns

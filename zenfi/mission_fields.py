@@ -8,7 +8,7 @@ from typing import Any, Literal, TypedDict
 
 from services.models.airframe import AirframeDefinition
 from services.models.detection import DetectorSpec
-from services.models.equipment import Camera, Imu, MapSettings, Motion, Odometry, Wind
+from services.models.equipment import Camera, Imu, Link, MapSettings, Motion, Odometry, Wind
 from services.models.mission import Area, Limits
 from services.models.oracles.harm import HarmSpec
 from services.models.own_stack import OwnStack
@@ -41,6 +41,7 @@ class MissionFields(TypedDict, total=False):
     guards: Sequence[str] | None
     pace: Pace | Fields
     wind: Wind | Fields
+    link: Link | Fields
     detector: DetectorSpec | Fields | str | None
     stack: OwnStack | Fields | Path | str | None
     limits: Limits | Fields

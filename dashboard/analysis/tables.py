@@ -113,6 +113,7 @@ def _counted(report: NodeReport) -> list[str]:
         "alarms": report.alarms,
         "recomputed": report.recomputed,
         "ungated": report.ungated,
+        "lost": report.lost,
     }
     return [f"{count} {name}" for name, count in counts.items() if count]
 

@@ -19,6 +19,8 @@ from deploy.doctor import examine
 from services.system import plug_ins
 from zenfi.missions import fly_mission, mission_of
 
+LINK_FORM = "MS[,LOSS]"
+
 
 @click.command()
 @click.option("--mission", default="navigation", show_default=True, help="What to do; see docs/missions.md.")
@@ -45,6 +47,11 @@ from zenfi.missions import fly_mission, mission_of
     help="Only these guards of docs/pilots.md, or none; default: the pilot's.",
 )
 @click.option("--energy", default="airframe", show_default=True, help="airframe, regression or momentum.")
+@click.option(
+    "--link",
+    metavar=LINK_FORM,
+    help="Delay, each way, and loss between the companion computer and what it flies, e.g. 20,0.01.",
+)
 @click.option("--detector", metavar=DETECTOR_FORM, help="Watch the flight, e.g. gaussian,recovery=control.")
 @click.option(
     "--fault",
@@ -92,12 +99,15 @@ def fly(
     ros: RosOptions | None,
     as_json: bool,
     guards: str | None,
+    link: str | None,
     time_factor: float | None,
     **fields: Any,
 ) -> None:
     """Fly one mission; with --fault, its golden twin first."""
     if guards is not None:
         fields["guards"] = [] if guards == "none" else guards.split(",")
+    if link is not None:
+        fields["link"] = _link(link)
     if time_factor is not None:
         fields["harm"] = {"time_factor": time_factor}
     aimed = parse_fault(fault, fault_seed, fault_over) if fault is not None else None
@@ -108,6 +118,14 @@ def fly(
         click.echo(outcome.model_dump_json(by_alias=True))
     else:
         Console().print(tables.outcome(outcome))
+
+
+def _link(text: str) -> dict[str, float]:
+    """The fields of a link that was written as :data:`LINK_FORM` says."""
+    try:
+        return dict(zip(("delay_ms", "loss"), map(float, text.split(",")), strict=False))
+    except ValueError:
+        raise click.BadParameter(f"{text!r}; {LINK_FORM}, e.g. 20 or 20,0.01", param_hint="--link") from None
 
 
 @click.command()

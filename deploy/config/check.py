@@ -52,6 +52,8 @@ def check(spec: MissionSpec) -> None:
             check_latency(spec.platform, spec.detector)
     except (ValueError, DetectionInputError) as error:
         raise BadSpecError(str(error)) from error
+    if spec.clock != "lockstep" and not spec.link.is_ideal:
+        raise BadSpecError("link: it delays and loses in virtual time: leave out --clock realtime")
     if spec.stack is not None:
         _check_stack(spec.stack, spec)
     if spec.fault is not None and spec.fault.level == "source":

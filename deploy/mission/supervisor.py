@@ -93,6 +93,7 @@ class SupervisedNode:
             alarms=int(counts["alarms"]),
             recomputed=int(counts["recomputed"]),
             ungated=int(counts["ungated"]),
+            lost=int(counts["lost"]),
             guards=self._guards(counts["guards"].tolist()),
             compute_s=int(page["wall_ns"][COMPUTING]) / 1e9,
             messaging_s=int(page["wall_ns"][MESSAGING]) / 1e9,

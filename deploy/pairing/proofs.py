@@ -110,7 +110,7 @@ def as_twin(spec: MissionSpec, twin: FlownMission, found: StrikeRecord) -> Flown
     return None
 
 
-_COUNTED = ("steps", "dropped", "malformed", "outdated", "alarms", "recomputed", "ungated")
+_COUNTED = ("steps", "dropped", "malformed", "outdated", "alarms", "recomputed", "ungated", "lost")
 
 
 def can_be_proven(fault: FaultSpec | None) -> bool:

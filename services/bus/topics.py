@@ -101,6 +101,11 @@ MADE_FROM: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """What each recorded topic is made from: the ways by which an error passes on."""
 
 
+OVER_LINK = frozenset({"odometry", "imu", "depth", "command"})
+"""The topics between the companion computer and what it flies: they go over the mission's link. The others
+stay on one side of it, or tell once what is known before take-off."""
+
+
 CARRIERS: Mapping[str, str] = MappingProxyType({"sim": "odometry", "control": "command"})
 """The topics whose messages carry the promise that their publisher makes after them, so that it need not be
 sent on its own: those with a message in (nearly) every step."""

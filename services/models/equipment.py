@@ -72,6 +72,27 @@ class Wind(Strict):
     correlation_s: float = Field(default=1.0, gt=0, le=600)
 
 
+class Link(Strict):
+    """The link between the companion computer and the sensors and flight controller of the vehicle.
+
+    What goes over it, each way, comes ``delay_ms`` of virtual time later; of the messages of a topic the
+    share ``loss`` never comes. Both are of the mission: its golden twin loses the same messages.
+    """
+
+    delay_ms: float = Field(default=0.0, ge=0, le=1000, description="virtual time, each way")
+    loss: float = Field(default=0.0, ge=0, lt=1, description="probability of each message")
+
+    @property
+    def delay_ns(self) -> int:
+        """How much later a message comes, in nanoseconds."""
+        return round(self.delay_ms * 1e6)
+
+    @property
+    def is_ideal(self) -> bool:
+        """Whether it neither delays nor loses anything."""
+        return self.delay_ms == self.loss == 0
+
+
 PROFILES: Mapping[str, Mapping[str, Strict]] = MappingProxyType(
     {
         # The defaults of every field: tuned for speed, same outcomes.

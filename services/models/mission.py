@@ -15,7 +15,7 @@ from services.bus.topics import PLANNER, Topic
 from services.models.airframe import AirframeDefinition
 from services.models.base import Strict
 from services.models.detection import DetectorSpec
-from services.models.equipment import PROFILES, Camera, Imu, MapSettings, Motion, Odometry, Wind
+from services.models.equipment import PROFILES, Camera, Imu, Link, MapSettings, Motion, Odometry, Wind
 from services.models.faults.specification import FaultSpec
 from services.models.oracles.harm import HarmSpec
 from services.models.oracles.properties import PropertyText
@@ -90,6 +90,7 @@ class MissionSpec(Strict):
     guards: tuple[str, ...] | None = Field(default=None, description="these only; default: the pilot's")
     pace: Pace = Pace()
     wind: Wind = Wind()
+    link: Link = Link()
     detector: DetectorSpec | None = None
     stack: OwnStack | None = None
     fault: FaultSpec | None = None

@@ -184,6 +184,7 @@ class NodeReport(Strict):
     alarms: int = Field(default=0, description="outputs that were found wrong")
     recomputed: int = Field(default=0, description="outputs that were made again")
     ungated: int = Field(default=0, description="outputs without a verdict: the detector had died")
+    lost: int = Field(default=0, description="messages of its own that the mission's link lost")
     guards: dict[str, int] = Field(default={}, description="how often each guard acted in it")
     compute_s: float = 0.0
     messaging_s: float = 0.0

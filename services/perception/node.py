@@ -64,7 +64,7 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
             image, pose, lens = depth.read(frame), odometry.at(frame.ready_ns), camera.latest
             if image is None or pose is None or lens is None:
                 continue
-            view = View(frame.ready_ns, image, pose, lens)
+            view = View(frame.ready_ns - setup.spec.link.delay_ns, image, pose, lens)
             flown = NO_PLAN if trajectory.latest is None else trajectory.latest
             # No newer frame is there to recompute from: none is exposed while the stage is busy.
             (_, counter), check = node.recovery.sound(

@@ -15,9 +15,9 @@ from services.bus import announce, proxy_link, session
 from services.bus.horizon import NEVER_NS, Promise, Stamped, earliest_activation, next_activation
 from services.bus.ports import Inlet, Outlet, promise_of
 from services.bus.proxy_link import Frame, ProxyLink
-from services.bus.topics import CARRIERS, STAGES, TOPICS, published_by
+from services.bus.topics import CARRIERS, STAGES, TOPICS, Topic, published_by
 from services.runtime.bus_listener import BusListener, NodeGoneError
-from services.runtime.latency import Latency
+from services.runtime.latency import Latency, VirtualLink
 from services.runtime.setup import NodeSetup
 from services.system.process_stat import listed_pid, process_stat
 from services.system.shared_stats import SharedStats
@@ -63,17 +63,13 @@ class BusProxy:
                 self.session,
                 self.name,
                 topic,
-                self._lookahead_ns(setup.spec.kernels_before(topic)),
+                _lookahead_ns(setup, topic),
                 setup.published.get(topic.name, 0),
             )
             for topic in published_by(self.name)
         }
         self._horizon = session.declare_publisher(self.session, session.horizon_key(self.name))
         self._injections = session.declare_publisher(self.session, session.topic_key("injection"))
-
-    def _lookahead_ns(self, kernels: tuple[str, ...]) -> int:
-        seed, stated, life = self._setup.spec.seed, self._setup.latencies, self._setup.life
-        return sum(Latency(stated[name], seed, name, life).least_ns for name in kernels)
 
     # -- serving the node --------------------------------------------------------------------------
 
@@ -284,3 +280,11 @@ class BusProxy:
                 message = f"{self.name}: the recorder does not answer"
                 raise session.BusError(message)
             time.sleep(0.001)
+
+
+def _lookahead_ns(setup: NodeSetup, topic: Topic) -> int:
+    """From when a topic's publisher is triggered until a message of it is ready at the earliest."""
+    spec, stated, life = setup.spec, setup.latencies, setup.life
+    kernels = spec.kernels_before(topic)
+    computed = sum(Latency(stated[name], spec.seed, name, life).least_ns for name in kernels)
+    return computed + VirtualLink(spec.link, spec.seed).least_ns(topic.name)

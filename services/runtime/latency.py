@@ -1,9 +1,11 @@
-"""Latencies of kernels in virtual time: seeded jitter above a hard lower bound."""
+"""How long kernels take in virtual time (seeded jitter above a hard lower bound), and messages on a link."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from services.bus.topics import OVER_LINK, TICK_NS
+from services.models.equipment import Link
 from services.models.platform import KernelLatency
 from services.runtime.rng import generator
 
@@ -39,3 +41,28 @@ class Latency:
             self._draws = (self.least_ns + np.rint(extra).astype(np.int64)).tolist()
             self._block = block
         return self._draws[place]
+
+
+class VirtualLink:
+    """What a mission's link does to the messages of its topics; the draws follow from the seed alone."""
+
+    def __init__(self, link: Link, seed: int) -> None:
+        self._link = link
+        self._seed = seed
+
+    def least_ns(self, topic: str) -> int:
+        """How long a message of the topic is under way at least."""
+        return self._link.delay_ns if topic in OVER_LINK else 0
+
+    def arrival_ns(self, topic: str, sent_ns: int) -> int | None:
+        """When a message that is sent at ``sent_ns`` comes; None if it is lost.
+
+        Those of a topic in one tick share their fate, so that a flight and its golden twin lose the same
+        ones, though a fault may move a command within its tick.
+        """
+        if topic not in OVER_LINK:
+            return sent_ns
+        loss = self._link.loss
+        if loss and generator(self._seed, f"link {topic}", sent_ns // TICK_NS).random() < loss:
+            return None
+        return sent_ns + self._link.delay_ns

@@ -27,7 +27,7 @@ from services.models.outcome import InjectionRecord
 from services.models.pilots import added_guards
 from services.runtime.guard_counts import GuardCounts
 from services.runtime.kernel_timer import KernelTimer
-from services.runtime.latency import Latency
+from services.runtime.latency import Latency, VirtualLink
 from services.runtime.recovery import Recovery
 from services.runtime.setup import NodeSetup
 from services.runtime.source_fault import SourceFault
@@ -54,6 +54,7 @@ class Node:
         self._proxy = proxy
         self._setup = setup
         self._stats, self._page = stats, stats.page
+        self._link = VirtualLink(setup.spec.link, setup.spec.seed)
         self.guards = GuardCounts(stats.page, setup.spec.active_guards)
         self._wall = ActivityStopwatch(stats.page)
         self._timer = timer if timer is not None else KernelTimer(setup, proxy, stats.page)
@@ -102,8 +103,12 @@ class Node:
         return message
 
     def _tell(self, topic: str, message: Any) -> None:
+        arrival_ns = self._link.arrival_ns(topic, self.now_ns)
+        if arrival_ns is None:
+            self._page["lost"] += 1
+            return
         payload = encode(message, TOPICS[topic].type)
-        self._proxy.tell(proxy_link.PUT, TOPIC_NUMBERS[topic], self.now_ns, payload=payload)
+        self._proxy.tell(proxy_link.PUT, TOPIC_NUMBERS[topic], arrival_ns, payload=payload)
 
     def corrupt(self, topic: str, message: Any) -> None:
         """Let the mission's source-level fault strike ``message``, the topic's next, if it is the one.

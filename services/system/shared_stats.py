@@ -31,6 +31,7 @@ _COUNTS: list[tuple[Any, ...]] = [
     ("alarms", np.int64),  # outputs found wrong
     ("recomputed", np.int64),  # outputs made again
     ("ungated", np.int64),  # outputs without a verdict, as the detector had died
+    ("lost", np.int64),  # messages lost on the mission's link
     ("guards", np.int64, (MAX_GUARDS,)),  # what each did, in the order of their table
 ]
 NOT_ARMED = -1

@@ -17,6 +17,7 @@ from deploy.pairing.strike_pass import strike
 from injector.strikes.results import StrikeRecord
 from services.kernels import KERNELS, PLANNERS
 from services.models.detection import DetectorSpec
+from services.models.equipment import Link
 from services.models.faults.specification import FaultSpec, Site, Trigger
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Proof
@@ -39,20 +40,21 @@ GAUSSIAN = DetectorSpec(scheme="gaussian")
 
 
 @pytest.mark.parametrize(
-    ("kernel", "call", "detector"),
+    ("kernel", "call", "fields"),
     [
-        ("pid", 40, None),
-        ("octomap", 3, None),
-        ("rrt_star", 0, None),
-        ("pid", 40, GAUSSIAN),
-        ("collision_check", 5, GAUSSIAN),
+        ("pid", 40, {}),
+        ("octomap", 3, {}),
+        ("rrt_star", 0, {}),
+        ("pid", 40, {"detector": GAUSSIAN}),
+        ("collision_check", 5, {"detector": GAUSSIAN}),
+        ("pid", 40, {"link": Link(delay_ms=30.0, loss=0.1)}),
     ],
 )
 def test_what_is_proven_is_what_is_flown(
-    server: ForkServer, kernel: str, call: int, detector: DetectorSpec | None
+    server: ForkServer, kernel: str, call: int, fields: dict[str, object]
 ) -> None:
     faults = [struck(kernel, call, seed) for seed in range(6)]
-    mission = SHORT.model_copy(update={"detector": detector})
+    mission = SHORT.model_copy(update=fields)
     proving, flying = PairFlyer(server), PairFlyer(server)
     kinds = set()
     for place, fault in enumerate(faults):
