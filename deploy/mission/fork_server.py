@@ -15,6 +15,7 @@ import socket
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deploy.config.processes import STACK, ProcessDeclaration
@@ -23,13 +24,16 @@ from injector.reproducible import launch
 from services.bus.session import BusAddress
 from services.runtime.setup import NodeSetup
 from services.system import plug_ins
-from services.system.process_stat import pid_of
+from services.system.process_stat import pid_of, process_stat
 from services.system.shared_stats import SharedStats
 
 if TYPE_CHECKING:
     from deploy.mission.far_processes import Companion
 
 _GONE = "the fork server is gone"
+
+STOPPED_S = 20.0
+"""After so long a wait for a process it is looked whether somebody has stopped the server."""
 
 
 class ForkServerError(Exception):
@@ -145,13 +149,26 @@ class ForkServer:
             socket.send_fds(self.socket, [json.dumps(order).encode()], [stats.descriptor, log])
         except (BrokenPipeError, ConnectionResetError) as error:
             raise ForkServerError(_GONE) from error
-        said = self._loss()
-        said.register(self.socket, select.POLLIN)
-        while said.poll() and _ready(self.socket.fileno()):
+        while self._speaks():
             forked = self._receive()
             if forked is not None:
                 return forked
         raise ForkServerError(_GONE)
+
+    def _speaks(self) -> bool:
+        """Wait until there is something to receive; False once the server is gone.
+
+        One that somebody has stopped is ended, as it may never go on: whoever has it gets another one.
+        """
+        said = self._loss()
+        said.register(self.socket, select.POLLIN)
+        while not said.poll(STOPPED_S * 1000):
+            self._end_if_stopped()
+        return _ready(self.socket.fileno())
+
+    def _end_if_stopped(self) -> None:
+        if any(_is_stopped(pid) for pid in (self.pid, *_children(self.pid))):
+            self._process.kill()
 
     def _receive(self) -> Forked | None:
         """Take in a reaper's message: what it has forked, or its process's end."""
@@ -196,7 +213,11 @@ class ForkServer:
         self.socket.close()
         for reaper in self._reapers.values():
             os.close(reaper)
-        self._process.wait()
+        while True:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(STOPPED_S)
+                return
+            self._end_if_stopped()
 
 
 def _ready(descriptor: int) -> bool:
@@ -204,3 +225,17 @@ def _ready(descriptor: int) -> bool:
     poll = select.poll()
     poll.register(descriptor, select.POLLIN)
     return bool(poll.poll(0))
+
+
+def _children(pid: int) -> list[int]:
+    """The children of a process with one thread; none once it is gone."""
+    with contextlib.suppress(OSError):
+        return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return []
+
+
+def _is_stopped(pid: int) -> bool:
+    """Whether somebody has stopped a process."""
+    with contextlib.suppress(OSError):
+        return process_stat(pid).state == "T"
+    return False
