@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -192,6 +191,8 @@ def deployed(folder: Path, disk: Path, kind: StoreKind, *, dask: bool = False) -
     port = free_port()
     home = disk / "home"
     environment = {**os.environ, "TMPDIR": str(missions), "ZENFI_HOME": str(home)}
+    # What Dask's own processes leave behind when they are killed is none of ours.
+    environment["DASK_TEMPORARY_DIRECTORY"] = str(folder / "dask")
     daemons: dict[str, Daemon] = {}
 
     def add(name: str, *command: str) -> None:
@@ -221,7 +222,7 @@ def deployed(folder: Path, disk: Path, kind: StoreKind, *, dask: bool = False) -
         module = [sys.executable, "-m", "distributed.cli.dask_worker", cluster]
         options = ["--no-nanny", "--nthreads", "1", "--resources", f"{RESOURCE}=1", "--host", "127.0.0.1"]
         for number in range(DASK_WORKERS):
-            add(f"worker-{number}", *module, *options, "--local-directory", str(missions / f"dask-{number}"))
+            add(f"worker-{number}", *module, *options)
     address = f"http://127.0.0.1:{port}"
     one = Deployment(where, store, readable, home, address, cluster, daemons)
     try:
@@ -229,5 +230,3 @@ def deployed(folder: Path, disk: Path, kind: StoreKind, *, dask: bool = False) -
     finally:
         with suppress(ProcessLookupError):
             one.close()
-        for number in range(DASK_WORKERS):
-            shutil.rmtree(missions / f"dask-{number}", ignore_errors=True)
