@@ -3,6 +3,7 @@
 import json
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -42,19 +43,52 @@ UNREADY = [check for check in CHECKS if check.__name__ != "not_a_server_error"]
 """The streams of this service end because it has ended, so it is not ready either: 503."""
 
 
+def known(folder: Path) -> Store:
+    """A store with one campaign."""
+    store = Store(folder)
+    flown(store, store.create(SPEC), 1)
+    (folder / "artefacts" / "known-1").mkdir()
+    (folder / "artefacts" / "known-1" / "worker-0.log").write_text("said")
+    return store
+
+
 @pytest.fixture(scope="module")
 def app(tmp_path_factory: pytest.TempPathFactory) -> Iterator[FastAPI]:
-    folder = tmp_path_factory.mktemp("contract")
-    with closing(Store(folder)) as store:
-        flown(store, store.create(SPEC), 1)
-        (folder / "artefacts" / "known-1").mkdir()
-        (folder / "artefacts" / "known-1" / "worker-0.log").write_text("said")
+    with closing(known(tmp_path_factory.mktemp("contract"))) as store:
         yield make(store)
 
 
 @pytest.fixture(scope="module")
 def document(app: FastAPI) -> Any:
     return schemathesis.openapi.from_asgi("/api/v1/openapi.json", app, headers={"Host": "localhost"})
+
+
+class FreshService:
+    """An ASGI application that can be begun anew: what requests find follows from those before alone."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._begun = folder, 0
+        self._store: Store | None = None
+        self.begin()
+
+    def begin(self) -> None:
+        self.close()
+        self._begun += 1
+        self._store = known(self._folder / str(self._begun))
+        self._app = make(self._store)
+
+    def close(self) -> None:
+        if self._store is not None:
+            self._store.close()
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        await self._app(scope, receive, send)
+
+
+@pytest.fixture
+def fresh(tmp_path: Path) -> Iterator[FreshService]:
+    with closing(FreshService(tmp_path)) as service:
+        yield service
 
 
 @pytest.mark.soak
@@ -78,10 +112,14 @@ def test_no_answer_is_undocumented_or_a_failure(document: Any, mode: GenerationM
 
 @pytest.mark.soak
 @pytest.mark.parametrize("number", SEEDS)
-def test_what_follows_from_an_answer_holds_in_the_next(document: Any, number: int) -> None:
+def test_what_follows_from_an_answer_holds_in_the_next(fresh: FreshService, number: int) -> None:
     """Requests in a row: what was made is there, what was deleted is not."""
+    document = schemathesis.openapi.from_asgi("/api/v1/openapi.json", fresh, headers={"Host": "localhost"})
 
     class Requests(document.as_state_machine()):  # type: ignore[misc]
+        def setup(self) -> None:
+            fresh.begin()
+
         def validate_response(self, response: Any, case: Any, **_: Any) -> None:
             checks = UNREADY if case.operation.path == "/ready" else CHECKS
             case.validate_response(response, checks=checks)
