@@ -12,7 +12,6 @@ from fastapi import APIRouter, FastAPI
 from prometheus_client import CollectorRegistry
 
 from dashboard.api import problems
-from dashboard.api.peers import peer_uid
 from dashboard.api.problems import documented
 from dashboard.api.request_limit import RequestLimit
 from dashboard.api.routes import (
@@ -29,6 +28,7 @@ from dashboard.api.routes import (
 )
 from dashboard.api.security import AccessGuard, BodyLimit, UserOf
 from dashboard.api.service import Service
+from services.system.peers import peer_uid
 
 MOST_BODY_BYTES = 2_000_000
 """A campaign with worlds of its own takes some 100 kB."""

@@ -17,9 +17,9 @@ from starlette.requests import HTTPConnection
 from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from dashboard.api.peers import Endpoint, peer_uid
 from dashboard.api.problems import answer
 from deploy.errors import BadSpecError
+from services.system.peers import Endpoint, peer_uid
 
 TOKEN_FILE = "token.sha256"  # noqa: S105 - a file's name
 OPEN = ("/health", "/ready", "/login", "/favicon.ico")

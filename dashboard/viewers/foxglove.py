@@ -25,7 +25,9 @@ from deploy.recording.live_feed import SOCKET, LiveFeedReader, MalformedFeedErro
 from deploy.recording.ordering import TYPES, SentMessage
 from services.bus.messages import TYPESTORE
 from services.bus.topics import TOPICS
+from services.system.peers import strangers
 
+HOST = "127.0.0.1"
 BACKLOG = 4096
 """Messages that wait for one client."""
 
@@ -49,7 +51,7 @@ class FoxgloveChannels:
         self._subscribed: queue.SimpleQueue[str] = queue.SimpleQueue()
         self.server = foxglove.start_server(
             name="zenfi",
-            host="127.0.0.1",
+            host=HOST,
             port=port,
             capabilities=[foxglove.Capability.Time],
             server_listener=_listener(foxglove, self._subscribed),
@@ -94,12 +96,15 @@ class FlightStage:
         self._feed: socket.socket | None = None
         self._hearing = LiveFeedReader()
         self._derived: DerivedMessages | None = None
+        self._withheld = False
 
     def run(self) -> None:
         """Send messages until an exception ends it."""
         try:
             while True:
-                for key, _ in self._selector.select(LOOK_S):
+                events = self._selector.select(LOOK_S)
+                self._look_for_strangers()
+                for key, _ in events:
                     self._admit() if key.fileobj is self._door else self._hear()
                 self._shown.catch_up()
         finally:
@@ -108,6 +113,14 @@ class FlightStage:
             Path(self._door.getsockname()).unlink(missing_ok=True)
             self._door.close()
 
+    def _look_for_strangers(self) -> None:
+        """Show nothing more of a flight once another user's program is connected: it asks for no password."""
+        if not self._withheld and (users := strangers((HOST, self._shown.server.port))):
+            told = f"nothing more of this flight is shown: user {', '.join(map(str, users))} is connected"
+            print(told, file=sys.stderr, flush=True)  # noqa: T201
+            self._withheld = True
+            self._shown.begin()
+
     def _admit(self) -> None:
         feed, _ = self._door.accept()
         if self._feed is not None:
@@ -115,6 +128,7 @@ class FlightStage:
             return
         self._selector.register(feed, selectors.EVENT_READ)
         self._feed, self._hearing, self._derived = feed, LiveFeedReader(), None
+        self._withheld = False
         self._shown.begin()
 
     def _hear(self) -> None:
@@ -122,7 +136,8 @@ class FlightStage:
         try:
             data = self._feed.recv(READ_BYTES)
             for sent in self._hearing.hear(data):
-                self._show(sent)
+                if not self._withheld:
+                    self._show(sent)
         except (OSError, MalformedFeedError, ValidationError) as error:
             print(f"feed refused: {error}", file=sys.stderr)  # noqa: T201 - the supervisor keeps it
             data = b""

@@ -9,12 +9,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import httpx
+
 from dashboard.client import Client
 from services.models.mission import Limits, MissionSpec
 from tests.conftest import descendants
 from tests.dashboard.api.conftest import Serving
-from tests.dashboard.api.test_peers import needs_root
-from tests.fixtures.another_user import as_nobody
+from tests.fixtures.another_user import NOBODY, as_nobody, needs_root, user
 
 PLACES = (Path("/tmp"), Path("/dev/shm"))  # noqa: S108 - where everybody may look
 PTRACE_SEIZE = 0x4206
@@ -83,3 +84,27 @@ def test_a_flight_under_way_is_reached_by_nobody_else(service: Serving, client: 
         assert as_nobody(lambda: of_processes(pids)) == []
     finally:
         client.campaigns.command(label, "cancel")
+
+
+REQUEST = b'{"preset": "demo"}'
+CREATE = (
+    b"POST /api/v1/campaigns HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+    b"Content-Length: %d\r\n\r\n%b" % (len(REQUEST), REQUEST)
+)
+
+
+@needs_root
+def test_another_account_on_the_machine_reads_and_starts_nothing(service: Serving) -> None:
+    host, port = service.address.removeprefix("http://").split(":")
+    with user(NOBODY):
+        asking = socket.create_connection((host, int(port)))
+    with asking:
+        asking.sendall(CREATE)
+        assert asking.recv(1000).startswith(b"HTTP/1.1 401 ")
+    for _ in range(50):  # gone before it is asked whose the request is
+        with user(NOBODY):
+            leaving = socket.create_connection((host, int(port)))
+        leaving.sendall(CREATE)
+        leaving.close()
+    names = [one["campaign"] for one in httpx.get(f"{service.address}/api/v1/campaigns").json()["campaigns"]]
+    assert not [name for name in names if name.startswith("demo")]

@@ -7,6 +7,7 @@ import socket
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -21,7 +22,9 @@ from deploy.pairing.golden_twin import PairFlyer
 from deploy.recording.live_feed import END, LONGEST_BYTES, SOCKET, LiveFeedReader, MalformedFeedError
 from services.bus.messages import TYPESTORE
 from services.models.mission import Limits
+from tests.conftest import PATIENCE_S, wait_until
 from tests.dashboard.recorded import GOLDEN
+from tests.fixtures.another_user import NOBODY, needs_root, user
 
 ZENFI = str(Path(sys.executable).parent / "zenfi")
 SHORT = GOLDEN.model_copy(update={"limits": Limits(mission_time_s=4.0)})
@@ -106,6 +109,36 @@ def test_no_flight_waits_for_a_server_that_is_stopped_or_gone(server: ForkServer
         assert PairFlyer(server).fly(SHORT, live=tmp_path / SOCKET).digest == alone.digest
         os.kill(process.pid, signal.SIGCONT)
     assert PairFlyer(server).fly(SHORT, live=tmp_path / SOCKET).digest == alone.digest
+
+
+def is_free(folder: Path) -> bool:
+    """Whether the server would show a flight now."""
+    with socket.socket(socket.AF_UNIX) as feed:
+        feed.connect(str(folder / SOCKET))
+        feed.settimeout(0.2)
+        try:
+            return feed.recv(1) != b""  # who is turned away is hung up on
+        except TimeoutError:
+            return True
+
+
+@needs_root
+def test_nothing_more_is_shown_once_another_user_is_connected(server: ForkServer, tmp_path: Path) -> None:
+    path, next_one = tmp_path / "flight.mcap", SHORT.model_copy(update={"seed": SHORT.seed + 1})
+    with foxglove(tmp_path) as (process, port), watching(port) as line:
+        mine = Watching(line, "/odometry")
+        with user(NOBODY):
+            stranger = socket.create_connection(("127.0.0.1", port))
+        with stranger:
+            PairFlyer(server).fly(SHORT, live=tmp_path / SOCKET)
+            assert process.stderr is not None
+            assert f"nothing more of this flight is shown: user {NOBODY}" in process.stderr.readline()
+        wait_until(lambda: is_free(tmp_path), PATIENCE_S)
+        time.sleep(0.5)  # until it has noticed that we are gone
+        PairFlyer(server).fly(next_one, path, live=tmp_path / SOCKET)
+        recorded = open_run(path).messages["odometry"]
+        seen = [payload for _, (_, _, payload) in zip(recorded, mine.messages(), strict=False)]
+        assert seen == [one.payload for one in recorded]
 
 
 def test_it_listens_to_this_machine_and_this_user_alone(tmp_path: Path) -> None:

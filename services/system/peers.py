@@ -7,9 +7,12 @@ claim to be somebody else, and browsers and curl need nothing for it.
 
 from __future__ import annotations
 
+import os
 import sys
+from collections.abc import Iterator
 from ipaddress import ip_address
 from pathlib import Path
+from typing import NamedTuple
 
 Endpoint = tuple[str, int]
 """An IP address and a port."""
@@ -22,14 +25,31 @@ def peer_uid(peer: Endpoint, ours: Endpoint) -> int | None:
 
     One that its process has closed is listed as root's (uid 0, inode 0), so it does not count.
     """
-    table = Path("/proc/net/tcp6" if ":" in peer[0] else "/proc/net/tcp")
-    wanted = [_listed(peer), _listed(ours), _ESTABLISHED]
-    for line in table.read_text().splitlines()[1:]:
+    wanted = _listed(peer), _listed(ours)
+    table = "tcp6" if ":" in peer[0] else "tcp"
+    return next((one.uid for one in _established(table) if (one.local, one.remote) == wanted), None)
+
+
+def strangers(ours: Endpoint) -> set[int]:
+    """The ids of the users, others than this process's, with a socket that is connected to ours."""
+    at, us = _listed(ours), os.getuid()
+    table = "tcp6" if ":" in ours[0] else "tcp"
+    return {one.uid for one in _established(table) if one.remote == at and one.uid != us}
+
+
+class _Connected(NamedTuple):
+    local: str
+    remote: str
+    uid: int
+
+
+def _established(table: str) -> Iterator[_Connected]:
+    """The sockets that are connected and belong to a process."""
+    for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
         # sl local_address rem_address st tx:rx tr:tm->when retrnsmt uid timeout inode ...
         fields = line.split()
-        if fields[1:4] == wanted and fields[9] != "0":
-            return int(fields[7])
-    return None
+        if fields[3] == _ESTABLISHED and fields[9] != "0":
+            yield _Connected(fields[1], fields[2], int(fields[7]))
 
 
 def _listed(endpoint: Endpoint) -> str:
