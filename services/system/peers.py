@@ -17,8 +17,6 @@ from typing import NamedTuple
 Endpoint = tuple[str, int]
 """An IP address and a port."""
 
-_ESTABLISHED = "01"
-
 
 def peer_uid(peer: Endpoint, ours: Endpoint) -> int | None:
     """The user id of who made the socket at ``peer`` that is connected to ours; None if there is none.
@@ -27,14 +25,14 @@ def peer_uid(peer: Endpoint, ours: Endpoint) -> int | None:
     """
     wanted = _listed(peer), _listed(ours)
     table = "tcp6" if ":" in peer[0] else "tcp"
-    return next((one.uid for one in _established(table) if (one.local, one.remote) == wanted), None)
+    return next((one.uid for one in _held(table) if (one.local, one.remote) == wanted), None)
 
 
 def strangers(ours: Endpoint) -> set[int]:
     """The ids of the users, others than this process's, with a socket that is connected to ours."""
     at, us = _listed(ours), os.getuid()
     table = "tcp6" if ":" in ours[0] else "tcp"
-    return {one.uid for one in _established(table) if one.remote == at and one.uid != us}
+    return {one.uid for one in _held(table) if one.remote == at and one.uid != us}
 
 
 class _Connected(NamedTuple):
@@ -43,12 +41,12 @@ class _Connected(NamedTuple):
     uid: int
 
 
-def _established(table: str) -> Iterator[_Connected]:
-    """The sockets that are connected and belong to a process."""
+def _held(table: str) -> Iterator[_Connected]:
+    """The sockets that a process holds. Closed ones are listed as root's, and without an inode."""
     for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
         # sl local_address rem_address st tx:rx tr:tm->when retrnsmt uid timeout inode ...
         fields = line.split()
-        if fields[3] == _ESTABLISHED and fields[9] != "0":
+        if fields[9] != "0":
             yield _Connected(fields[1], fields[2], int(fields[7]))
 
 
