@@ -29,6 +29,9 @@ OWN = "zenfi"
 PIP = "pip"
 """Is there before anything is installed, so that no version of it is locked."""
 
+FOR_GRAPHICS_CARDS = ("nvidia-", "cuda-")
+"""What torch brings along where its build is one for graphics cards, which follows from the index alone."""
+
 TESTS = "test"
 EVERY_INSTALLATION = "all"
 
@@ -54,6 +57,8 @@ Wheels bring libraries along under licences of their own, of which metadata do n
 - numpy and scipy: libgfortran, GPL-3.0 with GCC's runtime library exception, which leaves its users free.
 - mujoco: Eigen, MPL-2.0, of which some files are LGPL-2.1; its wheel has the list.
 - pyzmq: libzmq, MPL-2.0.
+- torch: builds for graphics cards, PyPI's for Linux among them, bring along packages of NVIDIA's (some GB,
+  under licences of its own). Nothing here uses them; a build for processors alone spares them.
 """
 
 
@@ -142,7 +147,7 @@ class Dependencies:
         waiting = [one for one in requirements if one.marker is None or one.marker.evaluate()]
         while waiting:
             one = waiting.pop()
-            if one.name == PIP:
+            if one.name == PIP or canonicalize_name(one.name).startswith(FOR_GRAPHICS_CARDS):
                 continue
             if one.name == OWN:
                 waiting += itertools.chain(*(self._groups[extra] for extra in one.extras))
