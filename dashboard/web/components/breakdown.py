@@ -17,7 +17,7 @@ class Breakdown:
     """Heat map and table; :meth:`show` brings them up to date."""
 
     def __init__(self) -> None:
-        self._injections = InjectionFindings(())
+        self._injections = InjectionFindings()
         with ui.column().classes("section") as self._none:
             nothing(
                 "No fault was injected yet.", "Flights with a fault appear here as soon as they are flown."

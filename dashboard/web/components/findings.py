@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import orjson
 
-from dashboard.analysis.kernel_study import WAYS
-from dashboard.campaigns.results.injection_groups import InjectedFlight, InjectionGroup, grouped
+from dashboard.campaigns.results.injection_groups import BETWEEN, TARGET, InjectionGroup, InjectionTable
 from dashboard.campaigns.results.summary import CellSummary
 from dashboard.campaigns.statistics.proportions import wilson
 from dashboard.web.charts import charts
@@ -19,7 +18,7 @@ from dashboard.web.components.quality_tables import Row, quality_rows, short
 
 MOST_GROUPS = 20
 QUALITY_TITLES = ("flight time, s", "flight distance, m", "energy, kJ")
-BIT = WAYS["bit"]
+BIT = "bit"
 
 FAILURES: dict[str, Callable[[InjectionGroup], int]] = {
     "missions failed": lambda group: group.failed,
@@ -91,7 +90,7 @@ class Findings:
 class InjectionFindings:
     """The injected flights of a campaign, grouped and drawn."""
 
-    flights: Sequence[InjectedFlight]
+    flights: InjectionTable | None = None
     _heats: dict[str, FindingsChart] = field(init=False, default_factory=dict)
     _groups: dict[str, Groups] = field(init=False, default_factory=dict)
 
@@ -104,10 +103,8 @@ class InjectionFindings:
     def groups(self, name: str) -> Groups:
         """The injected flights by one of :data:`WAYS`, put together when first asked for."""
         if name not in self._groups:
-            way = WAYS[name]
             # A message that was corrupted has bits, but neither register nor instruction.
-            chosen = [one for one in self.flights if way is BIT or one.record.kernel]
-            groups = grouped(chosen, lambda one: way(one.record))
+            groups = self.flights.grouped(name, of_kernels=name != BIT) if self.flights is not None else []
             rows = [_group(group) for group in groups[:MOST_GROUPS]]
             self._groups[name] = Groups(rows, len(groups) - len(rows))
         return self._groups[name]
@@ -145,10 +142,10 @@ def _nodes(labels: Sequence[str], summary: Sequence[CellSummary]) -> FindingsCha
     return FindingsChart.of(charts.stacked(hit, results, "injected nodes, %", about), len(hit))
 
 
-def _heat(flights: Sequence[InjectedFlight], failure: str) -> FindingsChart:
+def _heat(flights: InjectionTable, failure: str) -> FindingsChart:
     found = {}
-    for group in grouped(flights, lambda one: f"{BIT(one.record)}\0{one.target}"):
-        bit, _, target = group.name.partition("\0")
+    for group in flights.grouped(BIT, TARGET):
+        bit, _, target = group.name.partition(BETWEEN)
         found[bit, target] = FAILURES[failure](group), group.injected
     across = sorted({bit for bit, _ in found}, key=_first)
     down = sorted({target for _, target in found})

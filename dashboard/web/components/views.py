@@ -9,11 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from dashboard.analysis.kernel_study import WAYS
 from dashboard.api.processes.event_bus import EventBus
 from dashboard.api.routes.campaigns import CampaignDetail, detail
 from dashboard.api.service import Service
 from dashboard.campaigns.results.compare import side_by_side
-from dashboard.campaigns.results.injection_groups import injected_flights
+from dashboard.campaigns.results.injection_groups import InjectedFlights
 from dashboard.campaigns.store.listing import RunListing, RunQuery, run_page
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.web.charts.figures import figures
@@ -97,8 +98,9 @@ class WatchedCampaign:
         self._service, self._label = service, label
         self._status = SharedValue(self._look)
         self._findings = SharedValue(lambda: Findings.of(figures(service.store, self._campaign())), PACE_S)
+        self._injected = InjectedFlights(WAYS)
         self._injections = SharedValue(
-            lambda: InjectionFindings(injected_flights(service.store, self._campaign())), PACE_S
+            lambda: InjectionFindings(self._injected.read(service.store, self._campaign())), PACE_S
         )
         self._beside = SharedValue(
             lambda: beside_rows(side_by_side(service.store, self._campaign(), None, None)), PACE_S

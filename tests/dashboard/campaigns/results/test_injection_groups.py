@@ -1,6 +1,6 @@
 """The injected flights of a campaign are read back from the store, and grouped."""
 
-from dashboard.campaigns.results.injection_groups import grouped, injected_flights
+from dashboard.campaigns.results.injection_groups import BETWEEN, TARGET, InjectedFlights
 from dashboard.campaigns.store.listing import ArmLine, arm_lines
 from dashboard.campaigns.store.store import Store
 from services.models.outcome import InjectionRecord
@@ -23,15 +23,32 @@ def test_injected_flights_have_the_record_and_how_the_flight_ended(store: Store)
         third: outcome().model_copy(update={"injection": state}),
     }
     store.write(found, store.states(found), [], flown)
-    injected = injected_flights(store, found)
-    assert [(one.target, one.success, one.node_result) for one in injected] == [
-        ("pid", True, "sdc"),
-        ("trajectory.vx", False, ""),
-    ]
-    assert injected[1].record == state
     assert arm_lines(store, [found]) == {found.label: [ArmLine(arm="b", flown=3, successes=1)]}
 
-    pid, vx = grouped(injected, lambda one: one.target)
+    table = InjectedFlights({"bits": lambda record: str(record.bits)}).read(store, found)
+    assert len(table) == 2
+    pid, vx = table.grouped(TARGET)
     assert (pid.name, pid.injected, pid.failed, pid.results) == ("pid", 1, 0, {"sdc": 1})
-    assert (vx.failed, vx.high) == (1, 1.0)
+    assert (vx.name, vx.failed, vx.results, vx.high) == ("trajectory.vx", 1, {"": 1}, 1.0)
     assert 0.15 < vx.low < 0.25
+    assert [one.name for one in table.grouped(TARGET, of_kernels=True)] == ["pid"]
+    assert BETWEEN.join(("[62]", "trajectory.vx")) in [one.name for one in table.grouped("bits", TARGET)]
+
+
+def test_only_what_has_changed_is_read_again(store: Store) -> None:
+    found, other = store.create(SPEC), store.create(SPEC)
+    planned = list(store.planned(found))[1::2]
+    read: list[InjectionRecord] = []
+
+    def noted(record: InjectionRecord) -> str:
+        read.append(record)
+        return "read"
+
+    flights, counts = InjectedFlights({"all": noted}), []
+    for run in planned[:3]:
+        store.write(found, store.states(found), [], {run: outcome()})
+        counts.append((len(flights.read(store, found)), len(read)))
+    assert counts == [(1, 1), (2, 2), (3, 3)]
+    (group,) = flights.read(store, found).grouped("all")
+    assert (group.injected, len(read)) == (3, 3)
+    assert len(flights.read(store, other)) == 0

@@ -15,7 +15,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 
 from dashboard.campaigns.events import Begin, Flown, Leased, RunStarted
-from dashboard.campaigns.results.injection_groups import injected_flights
+from dashboard.campaigns.results.injection_groups import InjectedFlights
 from dashboard.campaigns.results.summary import summary
 from dashboard.campaigns.spec import Arm, Condition
 from dashboard.campaigns.store import postgresql
@@ -184,7 +184,9 @@ def test_sites_and_records_of_an_older_form_keep_their_precision(
         with engine.connect() as connection:
             assert documents(connection, outcomes="outcomes") == before
         assert store.planned(store.find("x-1")) == planned
-        assert [one.record for one in injected_flights(store, campaign)] == [record]
+        whole = InjectedFlights({"whole": InjectionRecord.model_dump_json})
+        (group,) = whole.read(store, campaign).grouped("whole")
+        assert group.name == record.model_dump_json()
     engine.dispose()
 
 

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from dashboard.analysis.kernel_study import WAYS
 from dashboard.api.processes.campaign_runner import CampaignRunner
 from dashboard.api.processes.event_bus import EventBus
 from dashboard.api.service import Service
 from dashboard.campaigns.flight_record import FlightRecord, Result
-from dashboard.campaigns.results.injection_groups import InjectedFlight
+from dashboard.campaigns.results.injection_groups import InjectedFlights
 from dashboard.campaigns.spec import Arm, CampaignSpec, Cell
 from dashboard.campaigns.store.columns import of_records
 from dashboard.campaigns.store.listing import RunQuery
@@ -20,7 +21,7 @@ from dashboard.campaigns.store.store import Store
 from dashboard.web.charts import figures
 from dashboard.web.components.findings import InjectionFindings
 from dashboard.web.components.views import SharedValue, WatchedCampaign
-from services.models.outcome import InjectionRecord
+from services.models.faults.specification import FaultSpec
 from tests.dashboard.campaigns.store.test_store import outcome
 
 CELL = Cell("arm", "sparse", "")
@@ -140,18 +141,21 @@ def test_many_who_look_at_a_campaign_are_shown_the_same_figures_and_runs(tmp_pat
             assert all(one is seen[0] for one in seen)
 
 
-def test_strikes_are_put_into_groups_once_for_all_who_ask() -> None:
-    record = InjectionRecord(
-        status="injected", node="control", kernel="pid", invocation=1, register="rax", bits=[3]
-    )
-    injections = InjectionFindings(
-        [InjectedFlight(record, False, "sdc"), InjectedFlight(record, True, "benign")]
-    )
+def test_strikes_are_put_into_groups_once_for_all_who_ask(tmp_path: Path) -> None:
+    struck = Arm(name="a", fault=FaultSpec(target="pid"))
+    with closing(Store(tmp_path)) as store:
+        found = store.create(CampaignSpec(name="seen", runs=2, arms=(struck,)))
+        first, second = store.planned(found)
+        good = outcome()
+        good = good.model_copy(update={"qof": good.qof.model_copy(update={"success": True})})
+        store.write(found, store.states(found), [], {first: outcome(), second: good})
+        injections = InjectionFindings(InjectedFlights(WAYS).read(store, found))
     assert injections.heat("missions failed") is not None
-    groups = injections.groups("register")
+    groups = injections.groups("role")
     assert [(row["injected"], row["missions failed"]) for row in groups.rows] == [(2, "50 (9 to 91)")]
-    assert injections.groups("register") is groups
-    assert InjectionFindings([]).heat("missions failed") is None
+    assert injections.groups("role") is groups
+    assert InjectionFindings().heat("missions failed") is None
+    assert InjectionFindings().groups("role").rows == []
 
 
 def test_boxes_are_of_the_successful_flights_and_results_of_all() -> None:
