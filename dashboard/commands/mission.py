@@ -122,8 +122,9 @@ def fly(
 
 def _link(text: str) -> dict[str, float]:
     """The fields of a link that was written as :data:`LINK_FORM` says."""
+    delay, _, loss = text.partition(",")
     try:
-        return dict(zip(("delay_ms", "loss"), map(float, text.split(",")), strict=False))
+        return {"delay_ms": float(delay), "loss": float(loss or 0)}
     except ValueError:
         raise click.BadParameter(f"{text!r}; {LINK_FORM}, e.g. 20 or 20,0.01", param_hint="--link") from None
 

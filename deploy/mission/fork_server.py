@@ -24,7 +24,7 @@ from injector.reproducible import launch
 from services.bus.session import BusAddress
 from services.runtime.setup import NodeSetup
 from services.system import plug_ins
-from services.system.process_stat import pid_of, process_stat
+from services.system.process_stat import is_stopped, pid_of
 from services.system.shared_stats import SharedStats
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class ForkServer:
         os.close(orders)
         os.close(side_orders)
         try:
-            started = self.socket.recv(MESSAGE_SIZE)
+            started = self.socket.recv(MESSAGE_SIZE) if self._speaks() else b""
         except ConnectionResetError:  # it ended before it had read what it is to import
             started = b""
         if not started:
@@ -167,7 +167,7 @@ class ForkServer:
         return _ready(self.socket.fileno())
 
     def _end_if_stopped(self) -> None:
-        if any(_is_stopped(pid) for pid in (self.pid, *_children(self.pid))):
+        if any(is_stopped(pid) for pid in (self.pid, *_children(self.pid))):
             self._process.kill()
 
     def _receive(self) -> Forked | None:
@@ -232,10 +232,3 @@ def _children(pid: int) -> list[int]:
     with contextlib.suppress(OSError):
         return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     return []
-
-
-def _is_stopped(pid: int) -> bool:
-    """Whether somebody has stopped a process."""
-    with contextlib.suppress(OSError):
-        return process_stat(pid).state == "T"
-    return False

@@ -24,7 +24,7 @@ from services.models.faults.specification import Trigger
 from services.models.outcome import KernelUse, NodeReport, NodeResult
 from services.models.pilots import numbered
 from services.runtime.setup import NodeSetup
-from services.system.process_stat import main_thread_stat, process_stat
+from services.system.process_stat import is_stopped, main_thread_stat, process_stat
 from services.system.shared_stats import COMPUTING, MESSAGING, WAITING, SharedStats
 from services.system.signal_names import signal_name
 
@@ -277,14 +277,6 @@ def _ended_from_outside(member: SupervisedNode, exited: Exited) -> str:
     if exited.status == EXIT_REAPER:
         return f"the proxy of {member.process.name} was killed from outside"
     return f"{member.process.name} was ended from outside ({signal_name(-exited.status)})"
-
-
-def is_stopped(pid: int) -> bool:
-    """Whether somebody has stopped a process."""
-    try:
-        return main_thread_stat(pid).state == "T"
-    except OSError:
-        return False
 
 
 def thread_cpu_s(pid: int) -> float:

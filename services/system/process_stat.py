@@ -83,6 +83,14 @@ def main_thread_stat(pid: int) -> ProcessStat:
     return _read(f"/proc/{pid}/task/{pid}/stat")
 
 
+def is_stopped(pid: int) -> bool:
+    """Whether somebody has stopped a process; not once it is gone."""
+    try:
+        return main_thread_stat(pid).state == "T"
+    except OSError:
+        return False
+
+
 def wants_processor(pid: int) -> bool:
     """Whether a thread of a process runs, or would if processor and disk let it; not once it is gone."""
     try:

@@ -19,7 +19,7 @@ FORBID_PTRACE = Path(__file__).parent.parent / "fixtures" / "forbid_ptrace.py"
 
 
 def test_fly_prints_one_outcome() -> None:
-    command = [ZENFI, "fly", "--world", "sparse", "--seed", "7", "--json"]
+    command = [ZENFI, "fly", "--world", "sparse", "--seed", "7", "--link", "5,0.01", "--json"]
     answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
     assert answer.returncode == 0
     assert answer.stderr == ""
@@ -27,6 +27,8 @@ def test_fly_prints_one_outcome() -> None:
     assert outcome["result"] == "success"
     assert {"success", "flight_time_s", "distance_m", "energy_kj", "replans"} <= set(outcome["qof"])
     assert {"digest", "wall_s", "nodes"} <= set(outcome)
+    assert outcome["spec"]["link"] == {"delay_ms": 5.0, "loss": 0.01}
+    assert outcome["nodes"]["sim"]["lost"] > 0
 
 
 def test_the_list_of_commands_loads_none_of_them() -> None:
@@ -56,6 +58,11 @@ def test_each_command_of_the_list_is_there(name: str) -> None:
         (("fly", "--mission", "dancing"), "dancing"),
         (("fly", "--fault", "instruction:frontier"), "never runs in mission 'navigation'"),
         (("fly", "--platform", "abacus"), "abacus"),
+        (("fly", "--link", "slow"), "MS[,LOSS], e.g. 20 or 20,0.01"),
+        (("fly", "--link", "20,0.01,5"), "MS[,LOSS]"),
+        (("fly", "--link", "nan"), "link.delay_ms"),
+        (("fly", "--link", "20,1"), "link.loss"),
+        (("fly", "--link", "20", "--clock", "realtime"), "leave out --clock realtime"),
         (("fly", "--detector", "crystal_ball"), "unknown detector 'crystal_ball'; installed: autoencoder"),
         (("fly", "--detector", "gaussian,gate"), "NAME=VALUE"),
         (("fly", "--detector", "gaussian,gate=ajar"), "detector.gate"),
