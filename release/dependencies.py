@@ -109,7 +109,8 @@ class Dependencies:
     def needs(self, name: str) -> list[str]:
         """The packages that an installed one needs here, by its metadata."""
         extras = {extra for found in self._found.values() for one, extra in found if one == name}
-        return sorted({canonicalize_name(one.name) for extra in extras for one in _required(name, extra)})
+        named = {canonicalize_name(one.name) for extra in extras for one in _required(name, extra)}
+        return sorted(one for one in named if not one.startswith(FOR_GRAPHICS_CARDS))
 
     def complaints(self) -> list[str]:
         """What is wrong, a line each that says the remedy."""
