@@ -25,7 +25,7 @@ class LazyCommand(NamedTuple):
 
 
 COMMANDS = {
-    "announce": LazyCommand("inject", "Run a program of your own so that zenfi inject finds it."),
+    "announce": LazyCommand("programs.inject", "Run a program of your own so that zenfi inject finds it."),
     "bench": LazyCommand("bench", "Measure the speed of this machine."),
     "campaign": LazyCommand("campaign", "Many flights: run, resumed, compared, exported."),
     "certificates": LazyCommand("stack", "Make certificates for machines that meet over TLS."),
@@ -36,10 +36,11 @@ COMMANDS = {
     "fly": LazyCommand("mission", "Fly one mission; with --fault, its golden twin first."),
     "foxglove": LazyCommand("service", "Show this machine's flights live in Foxglove."),
     "harm": LazyCommand("harm", "Collect the faults that harmed a mission; show them."),
-    "inject": LazyCommand("inject", "Inject one fault into any process."),
+    "inject": LazyCommand("programs.inject", "Inject one fault into any process."),
     "kernels": LazyCommand("kernels", "Faults in kernels alone, thousands of them."),
     "logs": LazyCommand("stack", "The logs of a stack's processes."),
     "plugins": LazyCommand("mission", "What other installed packages add to zenfi."),
+    "program": LazyCommand("programs.program", "Faults in any program, thousands of runs."),
     "propagation": LazyCommand("recordings", "How the error of a recorded flight passed on, by topic."),
     "ps": LazyCommand("stack", "What the processes of a stack are doing."),
     "redundancy": LazyCommand("redundancy", "Velocity and flight time with one, two, three computers."),

@@ -32,7 +32,8 @@ from injector.flight.warm_up import warm_up_on_a_fork
 from injector.recurrence.struck_calls import StrikeTally
 from injector.tracing.compiled_functions import compiled_functions
 from injector.tracing.process import END_LIMIT_MS, Process, ProcessIdentity, VanishedError
-from injector.tracing.ptrace import GoneError, hear_of_children
+from injector.tracing.ptrace import GoneError
+from injector.tracing.waiting import hear_of_children
 from services.bus import announce, session
 from services.bus.announce import Announcement
 from services.bus.messages import Injection, encode

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from services.models.faults.specification import FaultSpec
     from services.models.mission import MissionSpec
     from services.models.outcome import Outcome
-    from zenfi import kernels
+    from zenfi import kernels, programs
     from zenfi.campaign import Campaign, FlownCampaign, StoredCampaign, campaigns, open_campaign
     from zenfi.injection import inject
     from zenfi.missions import fly, replay
@@ -48,6 +48,7 @@ _FROM = {
     "kernels": "zenfi",
     "open_campaign": "zenfi.campaign",
     "open_run": "dashboard.analysis.recordings_reader",
+    "programs": "zenfi",
     "replay": "zenfi.missions",
 }
 """The module that each public name is from; `zenfi`: it is a module itself."""
@@ -73,6 +74,7 @@ __all__ = [
     "kernels",
     "open_campaign",
     "open_run",
+    "programs",
     "replay",
 ]
 

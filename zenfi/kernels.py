@@ -23,7 +23,8 @@ from deploy.config.written_faults import fault_fields
 from deploy.errors import BadSpecError
 from deploy.kernel_study.file import StudyFile
 from deploy.kernel_study.study import Study
-from injector.kernel_study.study import StudyRun
+from deploy.kernel_study.workers import kernel_worker
+from injector.kernel_study.results import StudyRun
 from services.models.faults.specification import FaultSpec
 from services.models.outcome import InjectionRecord
 
@@ -109,7 +110,12 @@ def kernel_studies(
             task = bar.add_task(name, total=injections, completed=min(len(known), injections))
             begin = time.monotonic()
             study = Study(
-                name, faults[name], injections, seed, slots or len(os.sched_getaffinity(0)), section
+                kernel_worker(name),
+                faults[name],
+                injections,
+                seed,
+                slots or len(os.sched_getaffinity(0)),
+                section,
             )
             runs = study.run(lambda _, task=task: bar.advance(task))  # type: ignore[misc]
             made = sum(one.index not in known for one in runs)

@@ -1,4 +1,4 @@
-"""What a kernel study found: shares with intervals, sizes of silent corruption, groups."""
+"""What a study of a kernel or program found: shares with intervals, sizes of silent corruption, groups."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from dashboard.campaigns.statistics.proportions import wilson
-from injector.kernel_study.study import CallLength, StudyResult, StudyRun
+from injector.kernel_study.results import CallLength, StudyResult, StudyRun
 from services.models.base import Strict
 from services.models.outcome import InjectionRecord
 
 RESULTS: tuple[StudyResult, ...] = ("benign", "sdc", "crash", "hang")
+
+PROGRAM_RESULTS: tuple[StudyResult, ...] = ("benign", "sdc", "crash", "detected", "hang")
+"""A program may say by its exit status that it noticed an error."""
 
 _CONTROL = re.compile(r"j\w+|call|ret|loop\w*|bnd")
 _COMPARE = re.compile(r"cmp|test|bt|v?u?comis[sd]|v?cmp\w*|v?ptest|kortest\w*|ktest\w*")
@@ -64,16 +67,17 @@ def summarise(
     length: CallLength,
     per_second: float,
     cpu_ms: float,
+    results: Sequence[StudyResult] = RESULTS,
 ) -> KernelSummary:
-    """The summary of a kernel's runs."""
+    """The summary of a kernel's or program's runs."""
     found = Counter(run.result for run in runs)
-    injected = sum(found[result] for result in RESULTS)
+    injected = sum(found[result] for result in results)
     apart = [run.deviation for run in runs if run.deviation is not None]
     return KernelSummary(
         kernel=kernel,
         attempted=len(runs),
         injected=injected,
-        shares=shares(runs),
+        shares=shares(runs, results),
         tolerable_sdc=sum(run.within_tolerance for run in runs),
         unit=unit,
         measured=len(apart),
@@ -86,12 +90,12 @@ def summarise(
     )
 
 
-def shares(runs: Sequence[StudyRun]) -> dict[str, OutcomeShare]:
+def shares(runs: Sequence[StudyRun], results: Sequence[StudyResult] = RESULTS) -> dict[str, OutcomeShare]:
     """Of each result among the injected."""
     found = Counter(run.result for run in runs)
-    injected = sum(found[result] for result in RESULTS)
+    injected = sum(found[result] for result in results)
     told: dict[str, OutcomeShare] = {}
-    for result in RESULTS:
+    for result in results:
         low, high = wilson(found[result], injected)
         told[result] = OutcomeShare(count=found[result], low=low, high=high)
     return told
@@ -128,11 +132,13 @@ WAYS: Mapping[str, Callable[[InjectionRecord], str]] = {
 """By what injections can be divided; bits in groups of eight."""
 
 
-def divided(runs: Sequence[StudyRun], way: str) -> list[tuple[str, int, dict[str, OutcomeShare]]]:
+def divided(
+    runs: Sequence[StudyRun], way: str, results: Sequence[StudyResult] = RESULTS
+) -> list[tuple[str, int, dict[str, OutcomeShare]]]:
     """Groups of the injected trials by what was corrupted: name, number, shares; the largest first."""
     groups: dict[str, list[StudyRun]] = defaultdict(list)
     for run in runs:
-        if run.result in RESULTS:
+        if run.result in results:
             groups[WAYS[way](run.injection)].append(run)
     order = sorted(groups, key=lambda name: (-len(groups[name]), name))
-    return [(name, len(groups[name]), shares(groups[name])) for name in order]
+    return [(name, len(groups[name]), shares(groups[name], results)) for name in order]

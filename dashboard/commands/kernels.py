@@ -13,7 +13,7 @@ from rich.table import Table
 
 from dashboard.analysis.kernel_study import RESULTS, WAYS, KernelSummary, OutcomeShare, divided
 from dashboard.terminal.options import as_json
-from injector.kernel_study.study import StudyRun
+from injector.kernel_study.results import StudyRun
 from zenfi.kernels import kernel_studies
 
 PAPERS = ("octomap", "rrt", "rrt_connect", "rrt_star", "pid")

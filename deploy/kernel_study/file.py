@@ -15,18 +15,20 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from deploy.errors import BadSpecError
-from injector.kernel_study.study import CallLength, StudyRun
+from injector.kernel_study.results import CallLength, StudyRun
+from injector.program.spec import ProgramSpec
 from services.models.base import Strict
 from services.models.faults.specification import FaultSpec
 
 
 class StudyHeader(Strict):
-    """What is asked of one kernel's study, and how many instructions its call has."""
+    """What is asked of a kernel's or program's study, and how many instructions its call or run has."""
 
     kernel: str
     fault: FaultSpec
     seed: int
     length: CallLength
+    program: ProgramSpec | None = None
 
 
 class StudyLine(Strict):
@@ -39,8 +41,10 @@ class StudyLine(Strict):
 class KernelSection:
     """One kernel's part: what :class:`deploy.kernel_study.study.Study` knows and keeps."""
 
-    def __init__(self, kernel: str, fault: FaultSpec, seed: int, file: StudyFile) -> None:
-        self.kernel, self.fault, self.seed = kernel, fault, seed
+    def __init__(
+        self, kernel: str, fault: FaultSpec, seed: int, file: StudyFile, program: ProgramSpec | None = None
+    ) -> None:
+        self.kernel, self.fault, self.seed, self.program = kernel, fault, seed, program
         self._file = file
         self.length: CallLength | None = None
         self.runs: dict[int, StudyRun] = {}
@@ -49,7 +53,13 @@ class KernelSection:
         """The header line of the section, which precedes its runs."""
         assert self.length is not None  # noqa: S101 - begun before
         return StudyLine(
-            study=StudyHeader(kernel=self.kernel, fault=self.fault, seed=self.seed, length=self.length)
+            study=StudyHeader(
+                kernel=self.kernel,
+                fault=self.fault,
+                seed=self.seed,
+                length=self.length,
+                program=self.program,
+            )
         )
 
     def begin(self, length: CallLength) -> None:
@@ -103,24 +113,25 @@ class StudyFile:
     def _take(self, line: StudyLine) -> None:
         if line.study is not None:
             head = line.study
-            section = KernelSection(head.kernel, head.fault, head.seed, self)
+            section = KernelSection(head.kernel, head.fault, head.seed, self, head.program)
             section.length = head.length
             self._sections[head.kernel] = section
         if line.run is not None:
             self._sections[line.run.kernel].runs[line.run.index] = line.run
 
-    def section(self, kernel: str, fault: FaultSpec, seed: int) -> KernelSection:
-        """The section of a kernel, new or from the file.
+    def section(
+        self, kernel: str, fault: FaultSpec, seed: int, program: ProgramSpec | None = None
+    ) -> KernelSection:
+        """The section of a kernel or program, new or from the file.
 
-        :raises BadSpecError: if it is from another fault or seed.
+        :raises BadSpecError: if it is from another fault, seed or command.
         """
         found = self._sections.get(kernel)
         if found is None:
-            found = self._sections[kernel] = KernelSection(kernel, fault, seed, self)
-        elif (found.fault, found.seed) != (fault, seed):
-            message = (
-                f"--output {self._path}: {kernel} was struck with another fault or seed: choose another file"
-            )
+            found = self._sections[kernel] = KernelSection(kernel, fault, seed, self, program)
+        elif (found.fault, found.seed, found.program) != (fault, seed, program):
+            asked = "another fault, seed or command" if program else "another fault or seed"
+            message = f"--output {self._path}: {kernel} was struck with {asked}: choose another file"
             raise BadSpecError(message)
         return found
 
@@ -195,3 +206,20 @@ def kept_runs(path: Path) -> dict[str, list[StudyRun]]:
         message = f"{path}: no file of a kernel study"
         raise BadSpecError(message) from error
     return found
+
+
+def kept_study(path: Path) -> tuple[StudyHeader, dict[int, StudyRun]]:
+    """What a file of one study holds: what was asked for, and the runs by their numbers.
+
+    :raises BadSpecError: if it is no such file.
+    """
+    try:
+        content = path.read_bytes()
+        lines = [
+            StudyLine.model_validate_json(one) for one in content[: content.rfind(b"\n") + 1].splitlines()
+        ]
+        (header,) = [one.study for one in lines if one.study is not None]
+    except (OSError, ValueError) as error:
+        message = f"{path}: no file of a study of a program"
+        raise BadSpecError(message) from error
+    return header, {one.run.index: one.run for one in lines if one.run is not None}

@@ -7,9 +7,8 @@ from itertools import pairwise
 from typing import Protocol
 
 from deploy.errors import BadSpecError
-from deploy.kernel_study.workers import StudyWorkers
-from injector.kernel_study.checkpoints import SamplePoint
-from injector.kernel_study.study import CallLength, StudyRun, StudyTask
+from deploy.kernel_study.workers import StudyWorkers, WorkerCommand
+from injector.kernel_study.results import CallLength, SamplePoint, StudyRun, StudyTask
 from services.kernels import scope_of
 from services.models.faults.specification import FaultSpec
 
@@ -31,15 +30,21 @@ class StudyProgress(Protocol):
 
 
 class Study:
-    """``injections`` strikes at one kernel alone; what is drawn depends on ``seed`` and nothing else.
+    """``injections`` strikes at one kernel or program; what is drawn depends on ``seed`` and nothing else.
 
     ``cpu_s`` is the processor time that was used.
     """
 
     def __init__(
-        self, kernel: str, fault: FaultSpec, injections: int, seed: int, slots: int, memory: StudyProgress
+        self,
+        workers: WorkerCommand,
+        fault: FaultSpec,
+        injections: int,
+        seed: int,
+        slots: int,
+        memory: StudyProgress,
     ) -> None:
-        self._kernel, self._fault, self._injections = kernel, fault, injections
+        self._workers, self._fault, self._injections = workers, fault, injections
         self._seed, self._slots, self._memory = seed, slots, memory
         self.cpu_s = 0.0
 
@@ -51,12 +56,22 @@ class Study:
         """
         missing = [index for index in range(self._injections) if index not in self._memory.runs]
         if missing:
-            with StudyWorkers(self._kernel, self._slots) as workers:
+            with StudyWorkers(self._workers, self._slots) as workers:
                 try:
                     self._make(workers, self._draw(workers, missing), made)
                 finally:
                     self.cpu_s = workers.cpu_s
         return [self._memory.runs[index] for index in range(self._injections)]
+
+    def make_again(self, points: Sequence[SamplePoint]) -> dict[int, StudyRun]:
+        """Strike at points that were drawn before: what came of each, by its number.
+
+        :raises InfrastructureError: if a worker fails.
+        """
+        if points:
+            with StudyWorkers(self._workers, self._slots) as workers:
+                self._make(workers, points, lambda _: None)
+        return {point.index: self._memory.runs[point.index] for point in points}
 
     def _draw(self, workers: StudyWorkers, missing: Sequence[int]) -> list[SamplePoint]:
         task = StudyTask(fault=self._fault, seed=self._seed, draw=tuple(missing))
@@ -64,8 +79,8 @@ class Study:
         assert answer.length is not None  # noqa: S101 - looked for above
         if not answer.drawn:
             message = (
-                f"{self._kernel}: the fault can strike none of the {answer.length.scope} instructions of the "
-                f"call in scope {scope_of(self._fault)}; widen its scope, register_class, operand or field"
+                f"{self._workers.name}: the fault can strike none of the {answer.length.scope} instructions "
+                f"of the call in scope {scope_of(self._fault)}; widen scope, register_class, operand or field"
             )
             raise BadSpecError(message)
         if self._memory.length is None:

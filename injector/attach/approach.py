@@ -21,8 +21,8 @@ from injector.faults.corruption import Corruption
 from injector.faults.stopped_thread import InjectionResult, registers_of
 from injector.tracing.perf_events import Breakpoint, ThreadTimer
 from injector.tracing.process import MemoryMapping, Process
-from injector.tracing.ptrace import wait_until
 from injector.tracing.tracee import Tracee
+from injector.tracing.waiting import wait_until
 from services.models.faults.specification import FaultSpec
 
 SHORT_NS = 2_000_000

@@ -18,7 +18,8 @@ from injector.faults.record import record_of
 from injector.faults.stopped_thread import InjectionResult
 from injector.tracing.elf import place
 from injector.tracing.process import ChangedError, MemoryMap, Process, VanishedError
-from injector.tracing.ptrace import NotPermittedError, wait_until
+from injector.tracing.ptrace import NotPermittedError
+from injector.tracing.waiting import wait_until
 from services.models.base import Strict
 from services.models.faults.specification import FaultSpec
 from services.models.outcome import InjectionRecord

@@ -25,6 +25,7 @@ from injector.tracing.process import AddressError, CodeError, Process
 from injector.tracing.ptrace import GoneError, StopReport
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import FAULTS, STEP_LIMIT_S, TraceeGroup
+from injector.tracing.waiting import wait_until
 
 NOTICES = (signal.SIGURG, signal.SIGWINCH)
 """Signals that do nothing by default, but are shown to a tracer."""
@@ -138,7 +139,7 @@ class UntrappedTracees(TraceeGroup):
     def _await_step(self, thread: Tracee, deadline: float) -> StopReport | None:
         if self._pause.under_way:  # the others stand
             return self._await(thread, deadline)
-        return ptrace.wait_until(lambda: self._look_at_all(thread), deadline - time.monotonic())
+        return wait_until(lambda: self._look_at_all(thread), deadline - time.monotonic())
 
     def _look_at_all(self, thread: Tracee) -> StopReport | None:
         found = self._look(thread)

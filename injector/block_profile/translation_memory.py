@@ -15,15 +15,15 @@ from injector.block_profile.injected_call import injected_call
 from injector.tracing.process import Process
 
 _MMAP = 9  # the number of the system call on x86-64
-_EXECUTABLE, _WRITABLE = mmap.PROT_READ | mmap.PROT_EXEC, mmap.PROT_READ | mmap.PROT_WRITE
+EXECUTABLE, WRITABLE = mmap.PROT_READ | mmap.PROT_EXEC, mmap.PROT_READ | mmap.PROT_WRITE
 _FLAGS = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | 0x100000  # MAP_FIXED_NOREPLACE
 _NO_FILE = 2**64 - 1
 
 _CODE_SIZE, _DATA_SIZE = 32 << 20, 4 << 20
-_SPAN = 1 << 30
+SPAN = 1 << 30
 """Longest cluster: with its memory, everything is within the reach of a displacement."""
 
-_PLACES = (-600 << 20, -64 << 20, -900 << 20, _SPAN + (64 << 20))
+_PLACES = (-600 << 20, -64 << 20, -900 << 20, SPAN + (64 << 20))
 """Where the memory of a cluster may lie, from its beginning; the first that is free."""
 
 _WORD = struct.Struct("<Q")
@@ -86,31 +86,35 @@ def map_memory(tid: int, process: Process, code: Sequence[tuple[int, int]]) -> l
 
     :raises TranslationMemoryError: if there is no room.
     """
-    return [_map_near(tid, process, start) for start in _clusters(code)]
+    return [map_near(tid, process, start) for start in _clusters(code)]
 
 
 def _clusters(code: Sequence[tuple[int, int]]) -> Iterator[int]:
     """Where each cluster of code begins: what lies within a displacement of one piece of memory."""
-    begin = -_SPAN
+    begin = -SPAN
     for start, end in code:
-        if end - begin > _SPAN:
+        if end - begin > SPAN:
             begin = start
             yield start
 
 
-def _map_near(tid: int, process: Process, start: int) -> TranslationMemory:
+def map_near(tid: int, process: Process, start: int) -> TranslationMemory:
+    """Map memory for the translations of code that lies from ``start`` on.
+
+    :raises TranslationMemoryError: if there is no room.
+    """
     for distance in _PLACES:
         at = (start + distance) // mmap.PAGESIZE * mmap.PAGESIZE
         if at <= 0:
             continue
-        if _map(tid, process, at, _CODE_SIZE, _EXECUTABLE) and _map(
-            tid, process, at + _CODE_SIZE, _DATA_SIZE, _WRITABLE
+        if map_at(tid, process, at, _CODE_SIZE, EXECUTABLE) and map_at(
+            tid, process, at + _CODE_SIZE, _DATA_SIZE, WRITABLE
         ):
             return TranslationMemory(start, at, at + _CODE_SIZE)
     message = f"process {process.pid} has no room near {start:#x} for {_CODE_SIZE + _DATA_SIZE} bytes"
     raise TranslationMemoryError(message)
 
 
-def _map(tid: int, process: Process, at: int, size: int, protection: int) -> bool:
+def map_at(tid: int, process: Process, at: int, size: int, protection: int) -> bool:
     """Have the thread map memory at an address; whether it did."""
     return injected_call(tid, process, _MMAP, at, size, protection, _FLAGS, _NO_FILE, 0) == at

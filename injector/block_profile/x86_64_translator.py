@@ -34,7 +34,7 @@ _RAX_PLUS_ONE = b"\x48\x8d\x40\x01"  # lea rax,[rax+1]
 _STORE_RCX, _LOAD_RCX = b"\x48\x89\x0d", b"\x48\x8b\x0d"
 _RCX_LESS_ONE = b"\x48\x8d\x49\xff"  # lea rcx,[rcx-1]
 _TRAP_AT_ZERO = b"\xe3\x02\xeb\x01" + TRAP  # jrcxz to the trap, jmp over it
-_JUMP, _CALL, _JUMP_IF, _CONDITION = b"\xe9", b"\xe8", 0x0F, 0x80
+JUMP, _CALL, _JUMP_IF, _CONDITION = b"\xe9", b"\xe8", 0x0F, 0x80
 _OVER_A_JUMP = 5
 _DISPLACEMENT = struct.Struct("<i")
 _ADDRESS = struct.Struct("<Q")
@@ -75,7 +75,7 @@ class Exit:
 
     def leading_to(self, address: int) -> bytes:
         """What is to be written at ``field``."""
-        return _displacement(address, self.field + _DISPLACEMENT.size)
+        return displacement(address, self.field + _DISPLACEMENT.size)
 
 
 class InsertedCode(Protocol):
@@ -115,7 +115,7 @@ class Translation:
 
 def jump(at: int, target: int) -> bytes:
     """A jump to ``target``, to lie ``at``."""
-    return _JUMP + _displacement(target, at + len(_JUMP) + _DISPLACEMENT.size)
+    return JUMP + displacement(target, at + len(JUMP) + _DISPLACEMENT.size)
 
 
 def translate(
@@ -132,10 +132,10 @@ def translate(
 
     :raises TranslationError: if it begins with no instruction, or lies too far away.
     """
-    block, offsets = _block(code, address, leaders)
-    out = _Writer(at)
+    block, offsets = block_of(code, address, leaders)
+    out = BlockWriter(at)
     if counters is not None:
-        out.count(counters, flags_are_free=_flags_are_free(block))
+        out.count(counters, flags_are_free=flags_are_free_in(block))
     for one, offset in zip(block, offsets, strict=True):
         raw = code[one.ip - address :][: one.len]
         out.instruction(one, raw, offset, is_last=one is block[-1], around=insert(one, raw))
@@ -157,13 +157,13 @@ def _takes_a_jump(code: bytes, address: int) -> bool:
     Functions begin at multiples of 16 or with a mark for indirect calls. That leaders divide the code there
     does not matter: to them the translation leads.
     """
-    whole, _ = _block(code, address, ())
+    whole, _ = block_of(code, address, ())
     begins = address % 16 == 0 or whole[0].mnemonic == Mnemonic.ENDBR64
     length = len(jump(0, 0))
     return whole[-1].next_ip - address >= length and (whole[0].len >= length or begins)
 
 
-def _block(
+def block_of(
     code: bytes, address: int, leaders: Container[int]
 ) -> tuple[list[iced_x86.Instruction], list[int]]:
     """A block's instructions, and where in each the displacement of its memory operand is."""
@@ -184,7 +184,7 @@ def _block(
     return block, offsets
 
 
-def _flags_are_free(block: Sequence[iced_x86.Instruction]) -> bool:
+def flags_are_free_in(block: Sequence[iced_x86.Instruction]) -> bool:
     """Whether the block sets all flags that counting would change before it reads one of them.
 
     Shifts by a register and repeated instructions may leave them as they are.
@@ -201,7 +201,11 @@ def _flags_are_free(block: Sequence[iced_x86.Instruction]) -> bool:
     return False
 
 
-def _displacement(target: int, after: int) -> bytes:
+def displacement(target: int, after: int) -> bytes:
+    """The displacement of an instruction that ends at ``after``.
+
+    :raises TranslationError: if the target is too far away.
+    """
     try:
         return _DISPLACEMENT.pack(target - after)
     except struct.error as error:
@@ -209,38 +213,38 @@ def _displacement(target: int, after: int) -> bytes:
         raise TranslationError(message) from error
 
 
-class _Writer:
+class BlockWriter:
     """Code that is written one instruction after the other, for one address."""
 
     def __init__(self, at: int) -> None:
         self.code = bytearray()
         self.stop = 0
         self.returns: list[tuple[int, int]] = []
-        self._at = at
+        self.at = at
         self._open: list[tuple[int, int]] = []
 
     def count(self, counters: Counters, *, flags_are_free: bool) -> None:
         """Count a pass, and do what else is asked for."""
         if flags_are_free and not counters.noted and not counters.remaining:
-            self._referring(_INCREMENT, counters.passes)
+            self.referring(_INCREMENT, counters.passes)
             return
-        self._referring(_STORE_RAX, counters.scratch)
-        self._referring(_LOAD_RAX, counters.passes)
+        self.referring(_STORE_RAX, counters.scratch)
+        self.referring(_LOAD_RAX, counters.passes)
         self.code += _RAX_PLUS_ONE
-        self._referring(_STORE_RAX, counters.passes)
+        self.referring(_STORE_RAX, counters.passes)
         if counters.noted:
             self.code += _LOAD_RAX_FAR + _ADDRESS.pack(counters.watched) + _LOAD_BY_RAX
-            self._referring(_STORE_RAX, counters.noted)
-        self._referring(_LOAD_RAX, counters.scratch)
+            self.referring(_STORE_RAX, counters.noted)
+        self.referring(_LOAD_RAX, counters.scratch)
         if counters.remaining:
             kept = counters.scratch + _ADDRESS.size
-            self._referring(_STORE_RCX, kept)
-            self._referring(_LOAD_RCX, counters.remaining)
+            self.referring(_STORE_RCX, kept)
+            self.referring(_LOAD_RCX, counters.remaining)
             self.code += _RCX_LESS_ONE
-            self._referring(_STORE_RCX, counters.remaining)
+            self.referring(_STORE_RCX, counters.remaining)
             self.code += _TRAP_AT_ZERO
-            self.stop = self._at + len(self.code)
-            self._referring(_LOAD_RCX, kept)
+            self.stop = self.at + len(self.code)
+            self.referring(_LOAD_RCX, kept)
 
     def instruction(
         self,
@@ -254,49 +258,51 @@ class _Writer:
         """Write one instruction of the block; the last one with the ways out of it."""
         flow = one.flow_control
         if around is not None:
-            self.code += around.before(self._at + len(self.code))
+            self.code += around.before(self.at + len(self.code))
         if flow == FlowControl.CONDITIONAL_BRANCH and one.mnemonic in _SHORT_ONLY:
             self.code += raw[:-1] + bytes([_OVER_A_JUMP])
-            self._way_out(_JUMP, one.next_ip)
-            self._way_out(_JUMP, one.near_branch_target)
+            self.way_out(JUMP, one.next_ip)
+            self.way_out(JUMP, one.near_branch_target)
         elif flow == FlowControl.CONDITIONAL_BRANCH:
             condition = _CONDITION + one.condition_code - ConditionCode.O
-            self._way_out(bytes([_JUMP_IF, condition]), one.near_branch_target)
-            self._way_out(_JUMP, one.next_ip)
+            self.way_out(bytes([_JUMP_IF, condition]), one.near_branch_target)
+            self.way_out(JUMP, one.next_ip)
         elif flow == FlowControl.UNCONDITIONAL_BRANCH and one.near_branch_target:
-            self._way_out(_JUMP, one.near_branch_target)
+            self.way_out(JUMP, one.near_branch_target)
         elif flow == FlowControl.CALL and one.near_branch_target:
-            self._way_out(_CALL, one.near_branch_target)
-            self.returns.append((self._at + len(self.code), one.next_ip))
-            self._way_out(_JUMP, one.next_ip)
+            self.way_out(_CALL, one.near_branch_target)
+            self.returns.append((self.at + len(self.code), one.next_ip))
+            self.way_out(JUMP, one.next_ip)
         else:
             if one.is_ip_rel_memory_operand:
-                after = self._at + len(self.code) + one.len
-                moved = _displacement(one.ip_rel_memory_address, after)
+                after = self.at + len(self.code) + one.len
+                moved = displacement(one.ip_rel_memory_address, after)
                 raw = raw[:offset] + moved + raw[offset + len(moved) :]
             self.code += raw
             if around is not None and flow == FlowControl.NEXT:
-                self.code += around.after(self._at + len(self.code))
+                self.code += around.after(self.at + len(self.code))
             if flow == FlowControl.INDIRECT_CALL:
-                self.returns.append((self._at + len(self.code), one.next_ip))
+                self.returns.append((self.at + len(self.code), one.next_ip))
             if is_last and flow in _LEADS_ON:
-                self._way_out(_JUMP, one.next_ip)
+                self.way_out(JUMP, one.next_ip)
 
     def close(self) -> tuple[Exit, ...]:
         """Write the traps to which the ways out lead."""
         exits = []
         for field, target in self._open:
-            trap = self._at + len(self.code)
+            trap = self.at + len(self.code)
             self.code += TRAP
-            exits.append(Exit(self._at + field, trap, target))
+            exits.append(Exit(self.at + field, trap, target))
             self.code[field : field + _DISPLACEMENT.size] = exits[-1].leading_to(trap)
         return tuple(exits)
 
-    def _way_out(self, opcode: bytes, target: int) -> None:
+    def way_out(self, opcode: bytes, target: int) -> None:
+        """Write a jump or call that leads out of the block."""
         self.code += opcode
         self._open.append((len(self.code), target))
         self.code += bytes(_DISPLACEMENT.size)
 
-    def _referring(self, opcode: bytes, to: int) -> None:
-        after = self._at + len(self.code) + len(opcode) + _DISPLACEMENT.size
-        self.code += opcode + _displacement(to, after)
+    def referring(self, opcode: bytes, to: int) -> None:
+        """Write an instruction whose operand is the memory at an address."""
+        after = self.at + len(self.code) + len(opcode) + _DISPLACEMENT.size
+        self.code += opcode + displacement(to, after)

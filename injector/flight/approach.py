@@ -16,9 +16,9 @@ from injector.tracing.compiled_functions import CompiledFunctions
 from injector.tracing.elf import locate
 from injector.tracing.perf_events import Breakpoint, ThreadTimer, await_trap
 from injector.tracing.process import MemoryMap, Process, sleeps
-from injector.tracing.ptrace import wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
+from injector.tracing.waiting import wait_until
 from services.bus.announce import Announcement
 from services.models.faults.specification import FaultSpec, Site, Waypoint
 

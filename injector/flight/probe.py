@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 from injector.tracing.perf_events import ThreadTimer, await_trap
 from injector.tracing.process import END_LIMIT_MS, AddressError, Process, ProcessIdentity, VanishedError
-from injector.tracing.ptrace import wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
+from injector.tracing.waiting import wait_until
 from services.bus.announce import Announcement
 from services.runtime.kernel_timer import GATE_SIGNAL
 

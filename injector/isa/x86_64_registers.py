@@ -78,7 +78,7 @@ STATUS_FLAGS = (0, 2, 4, 6, 7, 10, 11)
 """The bits of rflags that are offered: CF, PF, AF, ZF, SF, DF and OF. The others are not the program's."""
 
 _STATUS = sum(1 << bit for bit in STATUS_FLAGS)
-_BASES = ("fs_base", "gs_base")
+_WHOLE = ("fs_base", "gs_base", "rip")
 
 
 def register_classes(enabled: int | None = None) -> frozenset[RegisterClass]:
@@ -96,6 +96,13 @@ def entering(general: bytearray, instruction: int, number: int, *arguments: int)
     for name, value in values.items():
         struct.pack_into("<Q", changed, _OFFSETS[name], value)
     return outside_of_calls(changed)
+
+
+def skipping_call(general: bytearray, result: int) -> bytearray:
+    """General registers of a thread that stands before a system call, which is not made but answered so."""
+    changed = outside_of_calls(general)
+    struct.pack_into("<Q", changed, _OFFSETS["rax"], result)
+    return changed
 
 
 def outside_of_calls(general: bytearray) -> bytearray:
@@ -163,7 +170,7 @@ class X8664Registers(Registers):
             return self._word(part.whole) >> part.shift & (1 << part.width) - 1
         if name == "rflags":
             return self._word("eflags") & _STATUS
-        if name in _BASES:
+        if name in _WHOLE:
             return self._word(name)
         state = self._state()
         content = b"".join(state[piece.offset : piece.offset + piece.size] for piece in self._pieces(name))
@@ -171,6 +178,10 @@ class X8664Registers(Registers):
 
     def put(self, name: str, value: int) -> None:
         """Change a register and nothing else."""
+        if name in _WHOLE:
+            struct.pack_into("<Q", self._general, _OFFSETS[name], value)
+            self._general_changed = True
+            return
         part = RegisterPart("eflags", 0, 64) if name == "rflags" else GENERAL.get(name)
         if part is not None:
             field = _STATUS if name == "rflags" else (1 << part.width) - 1 << part.shift

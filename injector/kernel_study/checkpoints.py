@@ -23,37 +23,21 @@ from injector.block_profile.instruction_counts import (
 from injector.faults.call_profile import counted_call
 from injector.isa.host import decode
 from injector.kernel_study.remote_fork import RemoteForks
+from injector.kernel_study.results import Pass, SamplePoint
 from injector.tracing import ptrace
 from injector.tracing.perf_events import Breakpoint, await_trap
 from injector.tracing.process import Process, ProcessIdentity, VanishedError
 from injector.tracing.ptrace import GoneError
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
-from services.models.base import Strict
 from services.models.faults.specification import FaultSpec
 
 LIMIT_S = 60.0
 """Wall time after which a call that does not come to a place is given up."""
 
-Pass = tuple[int, int]
-"""An address, and the number of a pass through it."""
-
 
 class CheckpointError(Exception):
     """A copy of the call took another path than the one that was counted: one line."""
-
-
-class SamplePoint(Strict):
-    """The ``index``-th drawn instruction: the call's ``hit``-th pass through an address."""
-
-    index: int
-    address: int
-    hit: int
-
-    @property
-    def at(self) -> Pass:
-        """The address, and the number of the pass through it."""
-        return self.address, self.hit
 
 
 class Stop(NamedTuple):

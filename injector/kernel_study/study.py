@@ -12,11 +12,9 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Literal
 
 from injector.block_profile.counted_call import UncountableError
 from injector.block_profile.instruction_counts import draw_instruction
@@ -24,22 +22,21 @@ from injector.faults.apply import apply_fault
 from injector.faults.call_profile import CallProfile
 from injector.faults.record import exact_site, record_of
 from injector.faults.stopped_thread import InjectionResult
-from injector.kernel_study.checkpoints import CheckpointRun, SamplePoint
+from injector.kernel_study.checkpoints import CheckpointRun
 from injector.kernel_study.remote_fork import RemoteForkError, RemoteForks
+from injector.kernel_study.results import CallLength, SamplePoint, StudyResult, StudyRun
 from injector.kernel_study.subject import MARK, Subject
 from injector.tracing import elf, ptrace
 from injector.tracing.compiled_functions import CompiledFunctions
-from injector.tracing.process import MemoryMap, Process, ProcessIdentity, VanishedError, sleeps
-from injector.tracing.ptrace import GoneError, StopReport, wait_until
+from injector.tracing.process import MemoryMap, Process, ProcessIdentity, VanishedError, cpu_s, sleeps
+from injector.tracing.ptrace import GoneError, StopReport
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
-from services.models.base import Strict
+from injector.tracing.waiting import wait_until
 from services.models.faults.specification import FaultSpec, Trigger
 from services.models.outcome import InjectionRecord
 from services.runtime import rng
 from services.system.signal_names import signal_name
-
-StudyResult = Literal["benign", "sdc", "crash", "hang", "not_injected"]
 
 HANG_TIMES = 10
 """A copy that uses this many times the thread time of a good call, and ..."""
@@ -61,57 +58,6 @@ LOST = InjectionResult("failed", "what was to be struck was lost before the faul
 
 _LOOK_S = 0.01
 _BEGIN_S = 20.0
-
-
-class StudyRun(Strict):
-    """One injection into a kernel alone.
-
-    ``sdc``: the output differs in a bit; ``within_tolerance`` says whether by no more than matters, and
-    ``deviation`` by how much in the kernel's unit (None: it has more or fewer values, or not all are
-    numbers). ``cause``: of a crash, the signal or "exception". Pid, tid and pause of the record are 0, as
-    they tell nothing of a copy; the rest is the same in every run.
-    """
-
-    kernel: str
-    index: int
-    result: StudyResult
-    within_tolerance: bool = False
-    deviation: float | None = None
-    cause: str = ""
-    injection: InjectionRecord
-
-
-class CallLength(Strict):
-    """How many instructions a call executes: in the fault's scope, of these such as it can strike, and all.
-
-    ``all`` is not known of a call that can be counted in the scope only.
-    """
-
-    scope: int
-    eligible: int
-    all: int | None = None
-
-
-class StudyTask(Strict):
-    """What a worker is asked for: to draw injections by their numbers, or to make those of a leg."""
-
-    fault: FaultSpec
-    seed: int
-    draw: tuple[int, ...] = ()
-    leg: tuple[SamplePoint, ...] = ()
-
-
-class StudyAnswer(Strict):
-    """One line of a worker: what was drawn, in the order of the call; what came of a place; our own problem.
-
-    The last one to a task has the processor time that worker and copies have used so far.
-    """
-
-    length: CallLength | None = None
-    drawn: tuple[SamplePoint, ...] = ()
-    run: StudyRun | None = None
-    problem: str = ""
-    cpu_s: float | None = None
 
 
 class SubjectInjector:
@@ -239,7 +185,7 @@ class SubjectInjector:
             if report is None:
                 if not signal.sigtimedwait({signal.SIGCHLD}, _LOOK_S):
                     asleep += sleeps(copy.tid)
-                    if asleep >= ASLEEP_LOOKS or _cpu_s(copy.pid) > self._limit_s:
+                    if asleep >= ASLEEP_LOOKS or cpu_s(copy.pid) > self._limit_s:
                         return None
             elif report.kind == "gone":
                 del self.tracees.threads[copy.tid]
@@ -330,11 +276,6 @@ class SubjectInjector:
             message = f"{self._kernel}: a copy that was left alone made another output ({end})"
             raise RuntimeError(message)
         return made.spent_ns / 1e9
-
-
-def _cpu_s(pid: int) -> float:
-    """Processor time of a process: its clock by the number that clock_getcpuclockid(3) gives it."""
-    return time.clock_gettime(~pid << 3 | 2)
 
 
 @contextmanager

@@ -42,7 +42,8 @@ def _answer(kernel: str, subject: Subject, pid: int, go: int) -> None:
     from injector.block_profile.counted_call import UncountableError  # noqa: PLC0415
     from injector.kernel_study.checkpoints import CheckpointError  # noqa: PLC0415
     from injector.kernel_study.remote_fork import RemoteForkError  # noqa: PLC0415
-    from injector.kernel_study.study import StudyAnswer, StudyTask, subject_injector  # noqa: PLC0415
+    from injector.kernel_study.results import StudyAnswer, StudyTask  # noqa: PLC0415
+    from injector.kernel_study.study import subject_injector  # noqa: PLC0415
     from injector.tracing.ptrace import GoneError  # noqa: PLC0415
 
     def say(answer: StudyAnswer) -> None:

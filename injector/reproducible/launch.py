@@ -24,7 +24,7 @@ from injector.reproducible.bootstrap import STANDARD, give_back_standard_streams
 from injector.reproducible.compiled_code import ROOT
 from injector.reproducible.fixed_entropy import fix_keys
 from injector.reproducible.forked_question import answered_by_a_fork
-from services.system.libc import libc
+from services.system.libc import turn_address_randomisation_off
 from services.system.process_stat import CLOCK_TICKS_PER_S, process_stat
 
 _PATH = "ZENFI_PATH"
@@ -33,7 +33,6 @@ _PATH = "ZENFI_PATH"
 _COMPILED = "ZENFI_COMPILED"
 """Where compiled code is: for :func:`main`, which passes a descriptor on in its place."""
 
-_ADDR_NO_RANDOMIZE = 0x0040000
 _ARGUMENTS_AT = 4
 """Where, in the command of such a process, the module stands that it runs."""
 
@@ -198,7 +197,7 @@ def main() -> None:
     surroundings = {_PATH if name == "PYTHONPATH" else name: value for name, value in os.environ.items()}
     numba = {name: value for name, value in surroundings.items() if _of_numba(name)}
     compiled_code.open_folder(Path(surroundings.pop(_COMPILED)), numba)
-    libc.personality(libc.personality(0xFFFFFFFF) | _ADDR_NO_RANDOMIZE)
+    turn_address_randomisation_off()
     fix_keys()
     _use_default_signals()
     _use_all_processors()

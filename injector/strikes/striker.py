@@ -25,8 +25,9 @@ from injector.faults.stopped_thread import InjectionResult
 from injector.flight.fingerprint import fingerprint_of
 from injector.flight.injection import POINTER_BITS
 from injector.flight.site_draw import waypoint
-from injector.kernel_study.checkpoints import CheckpointRun, SamplePoint, Stop
+from injector.kernel_study.checkpoints import CheckpointRun, Stop
 from injector.kernel_study.remote_fork import RemoteForks
+from injector.kernel_study.results import SamplePoint
 from injector.strikes.copied_node import (
     OPEN_GATE,
     CopiedNode,

@@ -15,9 +15,10 @@ import struct
 from collections.abc import Callable
 from typing import Literal
 
-from injector.tracing.ptrace import GoneError, wait_until
+from injector.tracing.ptrace import GoneError
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
+from injector.tracing.waiting import wait_until
 from services.system.libc import libc
 
 SHORTEST_NS = 10_000

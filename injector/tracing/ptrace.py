@@ -12,11 +12,10 @@ import os
 import platform
 import signal
 import struct
-import time
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple
 
 from services.system.libc import libc_with_gil
 
@@ -29,11 +28,19 @@ _WORD = struct.Struct("=Q")
 _GENERAL_SIZE = 512
 _PROGRAM_COUNTER_AT = {"x86_64": 128, "aarch64": 256}[platform.machine()]  # in NT_PRSTATUS
 _STOPPED_AT_TRAP = signal.SIGTRAP << 8 | 0x7F
-_O_TRACESYSGOOD, _O_TRACEFORK, _O_TRACECLONE, _O_TRACEEXEC, _O_EXITKILL = 0x1, 0x2, 0x8, 0x10, 0x100000
+_O_TRACESYSGOOD, _O_TRACEFORK, _O_TRACEVFORK, _O_TRACECLONE, _O_TRACEEXEC = 0x1, 0x2, 0x4, 0x8, 0x10
+_O_TRACEEXIT, _O_TRACESECCOMP, _O_EXITKILL = 0x40, 0x80, 0x100000
 _WALL = 0x40000000
 _EVENT_STOP = 128
 _STOPPED_BY_INTERRUPT = _EVENT_STOP << 16 | _STOPPED_AT_TRAP
-_EVENTS: dict[int, Kind] = {1: "new_process", 3: "new_thread", 4: "program"}  # PTRACE_EVENT_FORK, CLONE, EXEC
+_EVENTS: dict[int, Kind] = {
+    1: "new_process",  # PTRACE_EVENT_FORK
+    2: "new_process",  # PTRACE_EVENT_VFORK
+    3: "new_thread",
+    4: "program",
+    6: "exits",  # PTRACE_EVENT_EXIT
+    7: "filtered",  # PTRACE_EVENT_SECCOMP
+}
 _STOPPED_AT_CALL = signal.SIGTRAP | 0x80
 _CALL_INFO = struct.Struct("=B3xIQQ7Q")  # which end, architecture, where it is, stack; number, arguments
 _ENTERED = 1
@@ -44,21 +51,21 @@ _STOP_SIGNALS = frozenset({signal.SIGSTOP, signal.SIGTSTP, signal.SIGTTIN, signa
 NT_PRSTATUS, NT_X86_XSTATE = 1, 0x202
 """Register sets: general registers, and the extended state in XSAVE's standard format."""
 
+_SENT = (0, -1, -6)  # SI_USER, SI_QUEUE, SI_TKILL
 _TRAP_BRKPT, _TRAP_TRACE, _TRAP_PERF = 1, 2, 6
-_OUR_TRAPS: dict[int, Kind] = {_TRAP_BRKPT: "step", _TRAP_TRACE: "step", _TRAP_PERF: "timer"}
-
-SPIN_NS = 200_000
-"""How long a wait polls before it sleeps: a single step takes 20 us, waking from sleep 15 us more."""
-
-_SLICE_S = 0.001
-"""Longest sleep of a wait: another thread of ours may have taken the SIGCHLD that was to end it."""
+_TRAP_HANDLER = 5  # a tracee that was stepped into the handler of a signal
+_OUR_TRAPS: dict[int, Kind] = {
+    _TRAP_BRKPT: "step",
+    _TRAP_TRACE: "step",
+    _TRAP_HANDLER: "step",
+    _TRAP_PERF: "timer",
+}
 
 REMEDY = (
     "run the injector as the user of its targets, let them name it with PR_SET_PTRACER or set "
     "/proc/sys/kernel/yama/ptrace_scope to 0, or give it CAP_SYS_PTRACE; in a container: --cap-add SYS_PTRACE"
 )
 
-T = TypeVar("T")
 Kind = Literal[
     "gone",
     "interrupted",
@@ -67,6 +74,8 @@ Kind = Literal[
     "new_process",
     "program",
     "call",
+    "filtered",
+    "exits",
     "step",
     "timer",
     "gate",
@@ -100,10 +109,11 @@ class StopReport:
 
     ``interrupted`` by :func:`interrupt` or newly attached; ``group_stop`` by a stop signal, of which
     the whole process stands; ``new_thread`` after a clone, ``new_process`` after a fork, ``program`` after an
-    exec; ``call`` before or after a call of the kernel; ``step`` and ``timer`` are our own traps; ``gate`` is
-    the signal by which a node marks where an armed call begins
-    and ends (only :class:`injector.tracing.tracees.TraceeGroup` knows which); ``signal`` is about to be
-    delivered unless the tracee is resumed without it. One that is ``gone`` ended by the ``signal`` or,
+    exec; ``call`` before or after a call of the kernel, ``filtered`` before one that a seccomp filter
+    tells of; ``exits`` about to end; ``step`` and ``timer`` are our own traps; ``gate`` is the signal by
+    which a node marks where an armed call begins and ends (only
+    :class:`injector.tracing.tracees.TraceeGroup` knows which); ``signal`` is about to be delivered unless the
+    tracee is resumed without it. One that is ``gone`` ended by the ``signal`` or,
     without one, with the ``exit_status``.
     """
 
@@ -150,6 +160,15 @@ def seize_program(tid: int) -> None:
     _call(_SEIZE, tid, data=_O_TRACEEXEC | _O_TRACESYSGOOD)
 
 
+def seize_launched(tid: int, *, exits: bool = False) -> None:
+    """Trace a process that is about to execute a program, and all that this starts; it dies with us.
+
+    With ``exits``, threads report when they are about to end.
+    """
+    started = _O_TRACEFORK | _O_TRACEVFORK | _O_TRACECLONE | (_O_TRACEEXIT if exits else 0)
+    _call(_SEIZE, tid, data=started | _O_TRACEEXEC | _O_TRACESECCOMP | _O_EXITKILL)
+
+
 def resume_to_call(tid: int) -> None:
     """Let a tracee run to the beginning or the end of a call of the kernel, where it reports."""
     _call(_SYSCALL, tid)
@@ -178,9 +197,9 @@ def listen(tid: int) -> None:
     _call(_LISTEN, tid)
 
 
-def step(tid: int) -> None:
-    """Let a tracee execute one instruction; it reports when it stands again."""
-    _call(_SINGLESTEP, tid)
+def step(tid: int, signal_number: int = 0) -> None:
+    """Let a tracee execute one instruction, or get a signal; it reports when it stands again."""
+    _call(_SINGLESTEP, tid, data=signal_number)
 
 
 def detach(tid: int, signal_number: int = 0) -> None:
@@ -369,32 +388,13 @@ def sent_by_another(tid: int, number: int | None = None) -> bool:
     return signal_code(tid) <= 0 and sender != (tid if number is None else number)
 
 
+def sent_from_outside(tid: int) -> bool:
+    """Whether a process outside of its pid namespace has sent the signal at which a tracee stands."""
+    sender = int.from_bytes(_siginfo(tid)[16:20], "little")
+    return signal_code(tid) in _SENT and sender == 0
+
+
 def _siginfo(tid: int) -> bytes:
     siginfo = ctypes.create_string_buffer(_SIGINFO_SIZE)
     _call(_GETSIGINFO, tid, data=ctypes.addressof(siginfo))
     return siginfo.raw
-
-
-def hear_of_children() -> set[signal.Signals]:
-    """Hold SIGCHLD back in this thread, so that :func:`wait_until` can sleep on it; the mask before."""
-    return set(signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD}))  # type: ignore[arg-type]
-
-
-def wait_until(look: Callable[[], T | None], limit_s: float) -> T | None:
-    """Call ``look`` until it finds something; None after ``limit_s``.
-
-    Polls for :data:`SPIN_NS`, yielding to others meanwhile; then sleeps until a tracee reports. Who yields
-    where others have work gets on after a time slice of theirs.
-    """
-    begin = time.monotonic_ns()
-    while True:
-        found = look()
-        if found is not None:
-            return found
-        waited_ns = time.monotonic_ns() - begin
-        if waited_ns >= limit_s * 1e9:
-            return None
-        if waited_ns > SPIN_NS:
-            signal.sigtimedwait({signal.SIGCHLD}, _SLICE_S)
-        else:
-            os.sched_yield()  # tracees on our own processor need it to get anywhere

@@ -31,17 +31,7 @@ def function_at(pid: int, maps: MemoryMap, name: str, module: str = "") -> tuple
 
     :raises SymbolError: if there is none, or more than one.
     """
-    pieces = module_code(maps, module) if module else [one for one in maps.code() if one.path]
-    every = [(one, *found) for one in pieces for found in functions(pid, one)]
-    wanted = plain(name)
-    parts = _IDENTIFIER.findall(re.split("[<(]", wanted)[0])
-    part = parts[-1] if parts and "operator" not in parts else ""
-    matching: dict[int, tuple[MemoryMapping, str]] = {}
-    for piece, symbol, address in every:
-        if symbol == name or (
-            symbol.startswith("_Z") and part in symbol and wanted in spellings(demangled(symbol))
-        ):
-            matching.setdefault(address, (piece, symbol))
+    matching, every = _matching(pid, maps, name, module)
     if len(matching) == 1:
         ((address, (_, symbol)),) = matching.items()
         return address, symbol
@@ -58,6 +48,35 @@ def function_at(pid: int, maps: MemoryMap, name: str, module: str = "") -> tuple
     near = _near(name, {symbol for _, symbol, _ in every})
     message = f"symbol {name!r} not found{where}" + (f"; similar: {_some(near)}" if near else "")
     raise SymbolError(message)
+
+
+def functions_named(pid: int, maps: MemoryMap, name: str, module: str = "") -> dict[int, str]:
+    """Addresses and mangled names of all loaded functions that are called so (see :func:`function_at`).
+
+    :raises SymbolError: if there is none.
+    """
+    matching, _ = _matching(pid, maps, name, module)
+    if not matching:
+        function_at(pid, maps, name, module)
+    return {address: symbol for address, (_, symbol) in matching.items()}
+
+
+def _matching(
+    pid: int, maps: MemoryMap, name: str, module: str
+) -> tuple[dict[int, tuple[MemoryMapping, str]], list[tuple[MemoryMapping, str, int]]]:
+    """The functions that are called so, by address; and all that were looked at."""
+    pieces = module_code(maps, module) if module else [one for one in maps.code() if one.path]
+    every = [(one, *found) for one in pieces for found in functions(pid, one)]
+    wanted = plain(name)
+    parts = _IDENTIFIER.findall(re.split("[<(]", wanted)[0])
+    part = parts[-1] if parts and "operator" not in parts else ""
+    matching: dict[int, tuple[MemoryMapping, str]] = {}
+    for piece, symbol, address in every:
+        if symbol == name or (
+            symbol.startswith("_Z") and part in symbol and wanted in spellings(demangled(symbol))
+        ):
+            matching.setdefault(address, (piece, symbol))
+    return matching, every
 
 
 def module_code(maps: MemoryMap, name: str) -> list[MemoryMapping]:

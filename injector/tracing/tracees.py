@@ -14,6 +14,7 @@ from injector.tracing.ptrace import StopReport
 from injector.tracing.realtime_pause import RealtimePause
 from injector.tracing.seized_threads import SeizedThreads
 from injector.tracing.tracee import Tracee
+from injector.tracing.waiting import hear_of_children, wait_until
 
 STOP_LIMIT_S = 5.0
 """Wall time within which a thread must stop; only one that hangs in a device driver takes longer."""
@@ -78,7 +79,7 @@ class PausableThreads(SeizedThreads):
         :raises StopError: if one does not stop.
         """
         others = [one for one in self.threads.values() if one.pid == thread.pid and one is not thread]
-        asleep = ptrace.wait_until(lambda: all(sleeps(one.tid) for one in others) or None, QUIET_LIMIT_S)
+        asleep = wait_until(lambda: all(sleeps(one.tid) for one in others) or None, QUIET_LIMIT_S)
         if asleep:
             self._stop(others)
         return bool(asleep)
@@ -129,7 +130,7 @@ class PausableThreads(SeizedThreads):
     def _await(self, thread: Tracee, deadline: float) -> StopReport | None:
         """Take in what a running thread reports, if it does so in time."""
         if not self._pause.under_way:
-            return ptrace.wait_until(lambda: self._look(thread), deadline - time.monotonic())
+            return wait_until(lambda: self._look(thread), deadline - time.monotonic())
         while True:
             report = ptrace.await_report_or_signal(thread.tid)  # the pause's heartbeat at the latest
             if report is not None:
@@ -154,7 +155,7 @@ class TraceeGroup(PausableThreads):
     """The threads that we trace. To be used by one thread, within ``with``, which always detaches."""
 
     def __enter__(self) -> Self:
-        self._signal_mask = ptrace.hear_of_children()
+        self._signal_mask = hear_of_children()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -214,7 +215,7 @@ class TraceeGroup(PausableThreads):
                 self._detach(thread)
             self.threads.clear()
             self._pause.end()
-            ptrace.wait_until(self._reaped, DEATH_LIMIT_S if self._awaits_death else END_LIMIT_S)
+            wait_until(self._reaped, DEATH_LIMIT_S if self._awaits_death else END_LIMIT_S)
             self._awaits_death = False
 
     def _detach(self, thread: Tracee) -> None:

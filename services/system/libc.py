@@ -16,6 +16,14 @@ libc_with_gil = ctypes.PyDLL(None, use_errno=True)
 """Functions that return at once: the interpreter's lock is kept, so that no other thread gets in between."""
 
 
+_ADDR_NO_RANDOMIZE, _ASK = 0x0040000, 0xFFFFFFFF
+
+
+def turn_address_randomisation_off() -> None:
+    """Have every program that this process or a fork of it executes find its memory at the same addresses."""
+    libc.personality(libc.personality(_ASK) | _ADDR_NO_RANDOMIZE)
+
+
 def checked(answer: int) -> int:
     """Return what a function of the C library answered.
 

@@ -17,9 +17,9 @@ import pytest
 
 from injector.faults.stopped_thread import registers_of
 from injector.tracing.process import Process, ProcessIdentity
-from injector.tracing.ptrace import wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
+from injector.tracing.waiting import wait_until
 
 MARK = signal.SIGUSR1
 PATIENCE_S = 30.0

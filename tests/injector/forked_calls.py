@@ -18,9 +18,9 @@ import pytest
 from injector.kernel_study.remote_fork import RemoteForks
 from injector.kernel_study.subject import MARK
 from injector.reproducible.vdso import clocks_by_system_calls
-from injector.tracing.ptrace import wait_until
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
+from injector.tracing.waiting import wait_until
 
 PATIENCE_S = 60.0
 

@@ -852,8 +852,8 @@ MUTANTS: list[Mutant] = [
         "tests/injector/block_profile/test_counted_call.py",
         (
             "sampling: a stop just behind where many arrive costs a trap each time",
-            "whole, _ = _block(code, address, ())",
-            "whole = list(_block(code, address, {address + 4})[0])",
+            "whole, _ = block_of(code, address, ())",
+            "whole = list(block_of(code, address, {address + 4})[0])",
         ),
     ),
     *_of(

@@ -21,7 +21,7 @@ from dashboard.web.components.breakdown import draw
 from dashboard.web.components.frame import REFUSED, ask, frame, nothing, section, trouble
 from dashboard.web.components.quality_tables import Row, table
 from deploy.kernel_study.file import kept_runs
-from injector.kernel_study.study import StudyRun
+from injector.kernel_study.results import StudyRun
 from services.kernels import PLANNERS
 
 LOOKED_AT = 200

@@ -3,7 +3,7 @@
 import pytest
 
 from dashboard.analysis.kernel_study import divided, instruction_class, summarise
-from injector.kernel_study.study import CallLength, StudyResult, StudyRun
+from injector.kernel_study.results import CallLength, StudyResult, StudyRun
 from services.models.outcome import InjectionRecord
 
 

@@ -14,7 +14,8 @@ from deploy.config.check import check_kernel
 from deploy.errors import BadSpecError
 from deploy.kernel_study.file import KernelSection, StudyFile, kept_runs
 from deploy.kernel_study.study import Study
-from injector.kernel_study.study import StudyRun
+from deploy.kernel_study.workers import kernel_worker
+from injector.kernel_study.results import StudyRun
 from services.models.faults.specification import FaultSpec
 from tests.conftest import descendants, wait_until
 
@@ -25,7 +26,7 @@ def studied(fault: FaultSpec, injections: int, slots: int = 1, file: Path | None
     kept = StudyFile(file)
     try:
         section = kept.section(fault.target, fault, SEED)
-        runs = Study(fault.target, fault, injections, SEED, slots, section).run()
+        runs = Study(kernel_worker(fault.target), fault, injections, SEED, slots, section).run()
         section.finish(runs)
     finally:
         kept.close()

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from injector.faults.call_profile import CallProfile
-from injector.kernel_study.checkpoints import CheckpointError, CheckpointRun, SamplePoint
+from injector.kernel_study.checkpoints import CheckpointError, CheckpointRun
+from injector.kernel_study.results import SamplePoint
 from injector.kernel_study.subject import MARK
 from injector.tracing import ptrace
 from injector.tracing.compiled_functions import CompiledFunctions

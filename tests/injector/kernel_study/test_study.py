@@ -13,8 +13,8 @@ from scipy.stats import chisquare
 
 from injector.faults.eligibility import is_eligible
 from injector.isa.host import decode
-from injector.kernel_study.checkpoints import SamplePoint
-from injector.kernel_study.study import LOST, StudyRun, SubjectInjector, subject_injector
+from injector.kernel_study.results import SamplePoint, StudyRun
+from injector.kernel_study.study import LOST, SubjectInjector, subject_injector
 from injector.kernel_study.subject import Subject
 from injector.tracing.process import Process, ProcessIdentity
 from services.kernels import KERNELS

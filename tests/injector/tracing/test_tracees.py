@@ -14,6 +14,7 @@ from injector.faults.stopped_thread import registers_of
 from injector.tracing import ptrace, tracees
 from injector.tracing.process import threads, tracer_of
 from injector.tracing.tracees import TraceeGroup
+from injector.tracing.waiting import wait_until
 from tests.injector.programs import PATIENCE_S, assemble, clock_ns, running, state
 
 pytestmark = pytest.mark.usefixtures("may_inject")
@@ -224,7 +225,7 @@ def test_signals_while_stepping_wait_and_arrive() -> None:
     with TraceeGroup() as tracees:
         tracees.seize([process.pid])
         process_clock = clock_ns(process.pid)
-        assert ptrace.wait_until(lambda: clock_ns(process.pid) > process_clock + 10**6 or None, PATIENCE_S)
+        assert wait_until(lambda: clock_ns(process.pid) > process_clock + 10**6 or None, PATIENCE_S)
         tracees.stop_all()
         thread = tracees.threads[process.pid]
         for number in (signal.SIGUSR1, signal.SIGUSR2):

@@ -320,7 +320,7 @@ def test_another_users_process_is_refused_with_its_owner() -> None:
         asking = [sys.executable, "-c", AS_NOBODY, str(process.pid)]
         answer = subprocess.run(
             asking,
-            cwd=Path(__file__).parents[3],
+            cwd=Path(__file__).parents[4],
             capture_output=True,
             text=True,
             check=False,

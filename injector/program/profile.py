@@ -1,0 +1,134 @@
+"""How often a program's run executes each instruction; those to strike are drawn from that."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+
+from injector.block_profile.counted_call import BlockCounts
+from injector.block_profile.instruction_counts import InstructionCounts, draw_instruction
+from injector.faults.eligibility import is_eligible
+from injector.isa.host import decode
+from injector.isa.instruction import DecodeError
+from injector.kernel_study.results import SamplePoint
+from injector.program.countdown import displaced
+from injector.program.counted_program import CountedProgram
+from injector.program.spec import ProgramSpec
+from injector.tracing.elf import CodeLocations
+from injector.tracing.process import MemoryMap
+from injector.tracing.symbols import SymbolError, functions_named, module_code
+from services.models.faults.specification import FaultSpec
+
+FEW_PASSES = 100
+"""Passes that are counted by a breakpoint of the processor: less than putting other code in place takes."""
+
+
+class ScopeError(Exception):
+    """The program executes no code of the scope that was asked for: one line."""
+
+
+class ProgramProfile:
+    """The counts of one run. ``counts`` are of all instructions, ``scope`` of those in the specified code."""
+
+    def __init__(self, pid: int, counted: CountedProgram, blocks: BlockCounts, spec: ProgramSpec) -> None:
+        """Sum up a run that has ended.
+
+        :raises ScopeError: if it executed nothing of the specified code.
+        """
+        self._blocks, self._code = blocks, counted.translations.sources
+        self._several_threads = counted.translations.threads > 1
+        self.places = CodeLocations(pid, counted.maps)
+        self.counts = InstructionCounts.of(blocks, order=self.places.named)
+        self._holding: dict[int, list[int]] = defaultdict(list)
+        for number, instructions in enumerate(blocks.instructions):
+            for address in instructions:
+                self._holding[address].append(number)
+        self._passes = dict(zip(self.counts.addresses.tolist(), self.counts.passes.tolist(), strict=True))
+        in_scope = _scope(pid, counted.maps, self.places, self._passes, spec)
+        self.scope = self.counts.only(in_scope)
+        if not self.scope.executed:
+            raise ScopeError("the program executes no instruction of the code that was asked for")
+
+    def eligible(self, fault: FaultSpec) -> InstructionCounts:
+        """The counts of what a fault can strike in the specified code."""
+        return self.scope.only(lambda address: self._is_eligible(fault, address))
+
+    def draw(self, eligible: InstructionCounts, index: int, draw: np.random.Generator) -> SamplePoint | None:
+        """Draw one of the eligible dynamic instructions, all alike; None if there is none."""
+        drawn = draw_instruction(eligible, lambda _: True, draw)
+        if drawn is None:
+            return None
+        by_breakpoint = drawn.hit <= FEW_PASSES and not self._several_threads
+        at = 0 if by_breakpoint else self._counted_at(drawn.address)
+        return SamplePoint(index=index, address=drawn.address, hit=drawn.hit, counted_at=at)
+
+    def _is_eligible(self, fault: FaultSpec, address: int) -> bool:
+        try:
+            return is_eligible(fault, decode(self._code_at(address)[:15], address))
+        except DecodeError:
+            return False
+
+    def _code_at(self, address: int) -> bytes:
+        number = self._holding[address][0]
+        return self._code[number][address - self._blocks.instructions[number][0] :]
+
+    @cached_property
+    def _arrivals(self) -> frozenset[int]:
+        return frozenset(one[0] for one in self._blocks.instructions)
+
+    def _counted_at(self, address: int) -> int:
+        """Where passes through an address can be counted: a few instructions before, or there; 0 if nowhere.
+
+        Straight code leads from there to the address, and nobody comes to the address in another way.
+        """
+        found: list[tuple[bool, int, int]] = []
+        for number in self._holding[address]:
+            instructions = self._blocks.instructions[number]
+            before = instructions[: instructions.index(address) + 1]
+            for distance, one in enumerate(reversed(before)):
+                if self._passes[one] != self._passes[address]:
+                    break
+                taken = displaced(self._code_at(one), one, self._arrivals)
+                if taken is not None:
+                    found.append((not taken.flags_are_free, distance, one))
+        return min(found)[2] if found else 0
+
+
+def _scope(
+    pid: int, maps: MemoryMap, places: CodeLocations, passes: dict[int, int], spec: ProgramSpec
+) -> Callable[[int], bool]:
+    """A test of addresses: whether they are of the code that is specified."""
+    if spec.symbol:
+        return _functions(pid, maps, places, passes, spec)
+    if not spec.module:
+        return lambda _: True
+    try:
+        pieces = module_code(maps, spec.module)
+    except SymbolError as error:
+        raise ScopeError(str(error)) from error
+    inside: Callable[[int], bool] = lambda one: any(piece.start <= one < piece.end for piece in pieces)  # noqa: E731
+    if spec.address is None:
+        return inside
+    return lambda one: inside(one) and places.named(one)[2] == spec.address
+
+
+def _functions(
+    pid: int, maps: MemoryMap, places: CodeLocations, passes: dict[int, int], spec: ProgramSpec
+) -> Callable[[int], bool]:
+    """Of functions of that name those that run: several modules may define one."""
+    try:
+        named = functions_named(pid, maps, spec.symbol, spec.module)
+    except SymbolError as error:
+        raise ScopeError(str(error)) from error
+    run = {address: symbol for address, symbol in named.items() if address in passes}
+    inside: set[int] = set()
+    addresses = sorted(passes)
+    for begin, symbol in run.items():
+        for address in addresses[np.searchsorted(addresses, begin) :]:
+            if places.at(address).symbol != symbol:
+                break
+            inside.add(address)
+    return inside.__contains__

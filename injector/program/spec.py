@@ -1,0 +1,56 @@
+"""A program to be struck: how it is run, which of its code comes into question and what its output is."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from services.models.base import Strict
+
+STREAMS = ("stdout", "stderr")
+"""The files of a run in which standard output and error are."""
+
+
+class ProgramSpec(Strict):
+    """A program's command, its surroundings, the code to strike and what is compared of a run.
+
+    With ``inputs`` or ``outputs`` each run has a folder of its own, with copies of the inputs; otherwise it
+    runs in ``folder``. ``environment`` is all that it has. Exit statuses ``detected`` say that the program
+    noticed an error itself. ``module``, ``symbol`` and ``address`` (an offset as objdump shows it) narrow the
+    code to a file, a function or one instruction.
+    """
+
+    command: tuple[str, ...] = Field(min_length=1)
+    executable: str
+    folder: str
+    environment: dict[str, str] = Field(default_factory=dict)
+    stdin: str = "/dev/null"
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    ignored: tuple[str, ...] = Field(default=(), description="of stdout and stderr: not compared")
+    status: int = Field(default=0, description="exit status without a fault")
+    detected: tuple[int, ...] = ()
+    module: str = ""
+    symbol: str = ""
+    address: int | None = None
+
+    @property
+    def name(self) -> str:
+        """The program's name, without the folder that it lies in."""
+        return self.command[0].rpartition("/")[2]
+
+    @property
+    def compared(self) -> tuple[str, ...]:
+        """The files of a run that are compared."""
+        return tuple(one for one in (*STREAMS, *self.outputs) if one not in self.ignored)
+
+    @property
+    def has_own_folder(self) -> bool:
+        """Whether each run has a folder of its own."""
+        return bool(self.inputs or self.outputs)
+
+
+class ProgramOrder(Strict):
+    """What a worker is told first: the program, and how long a run without a fault may take."""
+
+    program: ProgramSpec
+    limit_s: float

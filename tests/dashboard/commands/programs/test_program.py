@@ -1,0 +1,60 @@
+"""``zenfi program run`` and ``replay``: what they print, and by which exit status."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from dashboard.cli import main
+from injector.kernel_study.results import StudyRun
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    try:
+        main(["program", *arguments])
+        status = 0
+    except SystemExit as ended:
+        status = int(ended.code or 0)
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def test_runs_are_made_told_and_replayed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = str(tmp_path / "runs.jsonl")
+    asked = ("--runs", "10", "--slots", "1", "--output", file)
+    status, out, _ = said(capsys, "run", *asked, "--by", "register", "--", "echo", "-n", "hello")
+    assert status == 0
+    for word in ("benign", "sdc", "crash", "detected", "hang", "by register", "runs a second"):
+        assert word in out
+    status, out, _ = said(capsys, "run", *asked, "--json", "--", "echo", "-n", "hello")
+    *runs, last = out.splitlines()
+    assert len([StudyRun.model_validate_json(one) for one in runs]) == 10
+    assert json.loads(last)["summary"]["injected"] == 10
+    status, out, _ = said(capsys, "replay", file, "--slots", "1")
+    assert (status, out) == (0, "replayed: 10 of 10 the same\n")
+    changed = Path(file).read_text().replace('"result":"benign"', '"result":"hang"', 1)
+    Path(file).write_text(changed)
+    status, out, _ = said(capsys, "replay", file, "--slots", "1")
+    assert status == 1
+    assert "now benign" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("run", "--", "no-such-program"), "no-such-program: no such program, or it cannot be executed"),
+        (("run", "--address", "x", "--", "true"), "--address x: expected MODULE+0x10"),
+        (("run", "--env", "NO_SUCH", "--", "true"), "--env NO_SUCH: there is no such variable"),
+        (("run", "--fault", "colour=red", "--", "true"), "colour"),
+        (("run", "--runs", "0", "--", "true"), "--runs"),
+        (("run",), "COMMAND"),
+        (("replay", "/no/such/file"), "/no/such/file"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    arguments: tuple[str, ...], problem: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, out, err = said(capsys, *arguments)
+    assert (status, out) == (2, "")
+    assert problem in err.splitlines()[-1]
+    assert err.startswith("zenfi: ")

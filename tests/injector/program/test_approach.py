@@ -1,0 +1,78 @@
+"""The drawn pass is reached by each of three ways, and by no other pass."""
+
+from pathlib import Path
+
+import pytest
+
+from injector.kernel_study.results import StudyRun
+from injector.program.approach import MOST_BY_BREAKPOINT
+from injector.program.profile import FEW_PASSES
+from services.models.faults.specification import FaultSpec
+from tests.injector.program.launched import COUNTS, compiled, injector_of, offset_of, spec_of
+
+
+def struck(tmp_path: Path, place: str, passes: int, draws: int) -> list[StudyRun]:
+    program = compiled(tmp_path, COUNTS, "counts")
+    spec = spec_of([program, str(passes)], module="counts", address=offset_of(program, place))
+    fault = FaultSpec(target="counts", scope="thread", operand="source", register_class="gpr")
+    with injector_of(spec) as injector:
+        length, points = injector.draw(fault, 5, range(draws))
+        assert length.scope == passes
+        return [run for _, run in injector.run(points, fault, 5)]
+
+
+def hit_of(run: StudyRun) -> int:
+    assert run.point is not None
+    return run.point.hit
+
+
+def test_a_breakpoint_and_a_countdown_lead_to_the_pass(tmp_path: Path) -> None:
+    runs = struck(tmp_path, "probe", 3 * FEW_PASSES, 24)
+    ways = {bool(run.point and run.point.counted_at) for run in runs}
+    assert ways == {True, False}
+    assert [int(run.injection.before, 16) for run in runs] == [hit_of(run) for run in runs]
+    assert {run.result for run in runs} == {"sdc"}
+
+
+def test_a_late_pass_is_counted_in_the_program(tmp_path: Path) -> None:
+    passes = 30_000_000
+    (run,) = struck(tmp_path, "probe", passes, 1)
+    assert hit_of(run) > passes // 100
+    assert int(run.injection.before, 16) == hit_of(run)
+
+
+def test_where_no_jump_fits_in_the_program_runs_in_translation(tmp_path: Path) -> None:
+    passes = 50 * MOST_BY_BREAKPOINT
+    runs = struck(tmp_path, "tight", passes, 3)
+    assert [run.point and run.point.counted_at for run in runs] == [0, 0, 0]
+    assert [int(run.injection.before, 16) for run in runs] == [passes - hit_of(run) + 1 for run in runs]
+
+
+@pytest.mark.parametrize("options", [("-pthread",), ("-pthread", "-static")])
+def test_passes_of_all_threads_count(tmp_path: Path, options: tuple[str, ...]) -> None:
+    source = """
+    #include <pthread.h>
+    #include <stdio.h>
+    static long passes;
+    static void *work(void *nothing) {
+        for (int at = 0; at < 1000; at++) {
+            passes += 1;
+            __asm__ volatile(".globl probe\\nprobe: mov %0, %%rax\\nmov %%rax, %%rcx"
+                             :: "r"(passes) : "rax", "rcx");
+        }
+        return nothing;
+    }
+    int main(void) {
+        pthread_t one;
+        for (int at = 0; at < 5; at++) { pthread_create(&one, 0, work, 0); pthread_join(one, 0); }
+        printf("%ld\\n", passes);
+    }
+    """
+    program = compiled(tmp_path, source, "threads", *options)
+    spec = spec_of([program], module="threads", address=offset_of(program, "probe"))
+    fault = FaultSpec(target="threads", scope="thread", operand="source", register_class="gpr")
+    with injector_of(spec) as injector:
+        length, points = injector.draw(fault, 1, range(8))
+        runs = [run for _, run in injector.run(points, fault, 1)]
+    assert length.scope == 5000
+    assert [int(run.injection.before, 16) for run in runs] == [hit_of(run) for run in runs]

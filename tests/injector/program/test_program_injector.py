@@ -1,0 +1,158 @@
+"""What comes of runs with a fault: each outcome, replays, and who else may kill a run."""
+
+import os
+import signal
+import threading
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chisquare
+
+from injector.program.profile import ScopeError
+from injector.program.runs import ProgramRuns, UnsuitableProgramError
+from services.models.faults.specification import FaultSpec
+from tests.conftest import descendants
+from tests.injector.program.launched import COUNTS, compiled, injector_of, offset_of, spec_of
+
+CHECKS = """
+#include <stdio.h>
+#include <stdlib.h>
+unsigned long table[64];
+int main(void) {
+    volatile unsigned long sum = 0, again = 0, unused = 0;
+    for (unsigned long at = 0; at < 64; at++) table[at] = at;
+    for (unsigned long at = 0; at < 2000; at++) {
+        sum += table[at % 64]; again += table[at % 64]; unused += at;
+    }
+    if (sum != again) exit(3);
+    printf("%lu\\n", sum);
+}
+"""
+FAULT = FaultSpec(target="program", scope="thread")
+
+
+def test_outcomes(tmp_path: Path) -> None:
+    spec = spec_of([compiled(tmp_path, CHECKS, "checks")], module="checks", detected=(3,))
+    with injector_of(spec) as injector:
+        _, points = injector.draw(FAULT, 1, range(120))
+        runs = [run for _, run in injector.run(points, FAULT, 1)]
+        again = [run for _, run in injector.run(points[:20], FAULT, 1)]
+    found = Counter(run.result for run in runs)
+    assert {"benign", "sdc", "crash", "detected"} <= found.keys()
+    assert found["not_injected"] == 0
+    assert {run.cause for run in runs if run.result == "crash"} <= {"SIGSEGV", "SIGBUS", "SIGILL", "SIGFPE"}
+    assert {run.cause for run in runs if run.result == "detected"} == {"exit status 3"}
+    assert all(run.injection.before != run.injection.after == run.injection.read_back for run in runs)
+    assert again == runs[:20]
+
+
+def test_no_fault_changes_nothing(tmp_path: Path) -> None:
+    fault = FAULT.model_copy(update={"model": "none"})
+    with injector_of(spec_of([compiled(tmp_path, CHECKS, "checks")])) as injector:
+        _, points = injector.draw(fault, 2, range(30))
+        assert {run.result for _, run in injector.run(points, fault, 2)} == {"benign"}
+
+
+def test_an_endless_run_hangs(tmp_path: Path) -> None:
+    program = compiled(tmp_path, COUNTS, "counts")
+    spec = spec_of([program, "1000"], module="counts", address=offset_of(program, "tight"))
+    # The highest bit of what counts down.
+    fault = FaultSpec(
+        target="counts", scope="thread", operand="source", register_class="gpr", bit_numbers=(62,)
+    )
+    with injector_of(spec) as injector:
+        _, points = injector.draw(fault, 1, range(1))
+        ((_, run),) = injector.run(points, fault, 1)
+    assert (run.result, list(run.injection.bits)) == ("hang", [62])
+
+
+def test_each_eligible_instruction_is_drawn_as_often_as_it_is_executed(tmp_path: Path) -> None:
+    fault = FaultSpec(target="counts", scope="thread", register_class="gpr", operand="destination", bits=2)
+    program = compiled(tmp_path, COUNTS, "counts")
+    with injector_of(spec_of([program, "500"], module="counts")) as injector:
+        _, points = injector.draw(fault, 7, range(2000))
+        eligible = injector.counted().eligible(fault)
+    drawn = Counter(point.address for point in points)
+    assert drawn.keys() <= set(eligible.addresses.tolist())
+    expected = 2000 * eligible.passes / eligible.passes.sum()
+    often = expected >= 5
+    observed = np.array([drawn[int(one)] for one in eligible.addresses])
+    rare = expected[~often].sum()
+    ours, theirs = np.append(observed[often], observed[~often].sum()), np.append(expected[often], rare)
+    assert chisquare(ours, theirs).pvalue > 0.01
+    assert max(point.hit for point in points) <= eligible.passes.max()
+
+
+def test_only_the_code_that_is_asked_for_is_struck(tmp_path: Path) -> None:
+    program = compiled(tmp_path, CHECKS, "checks")
+    for narrowed in ({"symbol": "main"}, {"module": "checks", "symbol": "main"}):
+        with injector_of(spec_of([program], **narrowed)) as injector:
+            _, points = injector.draw(FAULT, 1, range(10))
+            runs = [run for _, run in injector.run(points, FAULT, 1)]
+        assert {run.injection.symbol for run in runs} == {"main"}
+    for absent in ({"symbol": "nothing_of_this_name"}, {"module": "libnothing"}):
+        with (
+            injector_of(spec_of([program], **absent)) as injector,
+            pytest.raises(ScopeError, match="nothing"),
+        ):
+            injector.draw(FAULT, 1, range(1))
+
+
+@pytest.mark.parametrize(
+    ("command", "more", "problem"),
+    [
+        (["date", "+%N"], {}, "not the same in each run without a fault .stdout."),
+        (["sh", "-c", "kill -SEGV $$"], {}, "SIGSEGV ends it without a fault"),
+        (["sh", "-c", "exit 3"], {"status": 3, "detected": (3,)}, "ends so without a fault, too"),
+        (
+            ["sh", "-c", "echo why >&2; exit 3"],
+            {},
+            r"exit status 3 without a fault .why.; if that is right: --status 3",
+        ),
+        (["true"], {"outputs": ("result",)}, "writes no such file"),
+        (["sleep", "1000"], {}, "did not end within"),
+    ],
+)
+def test_what_cannot_be_judged_is_refused(command: list[str], more: dict[str, object], problem: str) -> None:
+    with (
+        ProgramRuns(spec_of(command, **more), min(os.sched_getaffinity(0))) as runs,
+        pytest.raises(UnsuitableProgramError, match=problem),
+    ):
+        runs.golden(1.0)
+
+
+def test_files_are_compared_in_a_folder_of_the_run(tmp_path: Path) -> None:
+    (tmp_path / "data").write_bytes(b"data" * 100)
+    spec = spec_of(["gzip", "-n", "data"], folder=str(tmp_path), inputs=("data",), outputs=("data.gz",))
+    with injector_of(spec) as injector:
+        _, points = injector.draw(FAULT, 1, range(40))
+        causes = {run.cause for _, run in injector.run(points, FAULT, 1) if run.result == "sdc"}
+    assert any("data.gz" in one for one in causes)
+    assert [one.name for one in tmp_path.iterdir()] == ["data"]
+
+
+def test_a_run_that_another_process_kills_is_made_again(tmp_path: Path) -> None:
+    source = "int main(void) { volatile long at = 0; while (at < 200000000) at++; }"
+    spec = spec_of([compiled(tmp_path, source, "long")], module="long")
+    fault = FAULT.model_copy(update={"model": "none"})
+    with injector_of(spec) as injector:
+        _, points = injector.draw(fault, 1, range(2))
+        killed: list[int] = []
+
+        def kill_one() -> None:
+            while not killed:
+                time.sleep(0.05)
+                for pid in descendants(os.getpid()):
+                    if Path(f"/proc/{pid}/comm").read_text() == "long\n":
+                        os.kill(pid, signal.SIGKILL if len(killed) else signal.SIGTERM)
+                        killed.append(pid)
+
+        killer = threading.Thread(target=kill_one)
+        killer.start()
+        results = [run.result for _, run in injector.run(points, fault, 1)]
+        killer.join()
+    assert killed
+    assert results == ["benign", "benign"]
