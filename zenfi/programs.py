@@ -42,6 +42,7 @@ LIMIT_S = 600.0
 ENVIRONMENT = {
     "LANG": "C.UTF-8",
     "PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
+    "PERL_HASH_SEED": "0",
     "PYTHONHASHSEED": "0",
 }
 """What a program finds, whoever runs it; more is passed by name."""
