@@ -89,7 +89,8 @@ class Launcher:
         :raises LaunchError: if it cannot be executed or traced.
         """
         self.say(json.dumps(asdict(order)).encode() + b"\n")
-        return LaunchedProgram(self, int(self.hear()["pid"]), exits=exits)
+        told = self.hear()
+        return LaunchedProgram(self, int(told["pid"]), own_pids=bool(told["own_pids"]), exits=exits)
 
     def say(self, content: bytes) -> None:
         """Write to the launcher: an order, or the byte for which a program waits."""
@@ -124,9 +125,9 @@ class LaunchedProgram(TraceeGroup):
     stack; clocks are read by calls of the kernel. To be used within ``with``, which kills what is left.
     """
 
-    def __init__(self, launcher: Launcher, pid: int, *, exits: bool) -> None:
+    def __init__(self, launcher: Launcher, pid: int, *, own_pids: bool, exits: bool) -> None:
         super().__init__(ours=True)
-        self._exits = exits
+        self._exits, self._own_pids = exits, own_pids
         self.pid, self._launcher, self._drawn = pid, launcher, 0
         self._told: _Answer | None = None
 
@@ -219,6 +220,12 @@ class LaunchedProgram(TraceeGroup):
     def await_end(self) -> Ending:
         """Wait until the program has ended; what it has started is killed then."""
         return self._end().ending
+
+    def is_outside(self, sender: int) -> bool:
+        """Whether the sender of a signal is none of the program's processes, as far as they live."""
+        if self._own_pids:
+            return sender == 0
+        return sender not in {thread.pid for thread in self.threads.values()}
 
     def run_to_end(self, limit_s: float) -> bool:
         """Run to the end; False if that does not come within a limit of wall time."""

@@ -51,7 +51,7 @@ def main() -> None:
         first = os.fork()
         if not first:
             die_with_parent()
-            _launch(order)
+            _launch(order, own_pids=home != pid_namespace.NOWHERE)
         if home != pid_namespace.NOWHERE:
             checked(libc.setns(home, pid_namespace.NEWPID))
         os.waitpid(first, 0)
@@ -66,7 +66,7 @@ def _set_limit(which: int, wanted: int) -> None:
     resource.setrlimit(which, (wanted if most == resource.RLIM_INFINITY else min(wanted, most), most))
 
 
-def _launch(order: dict[str, Any]) -> NoReturn:
+def _launch(order: dict[str, Any], *, own_pids: bool) -> NoReturn:
     """Fork the program, tell of it and of its end, and end; all that it has started ends then."""
     reads, writes = os.pipe()
     failed, failure = os.pipe()
@@ -75,7 +75,7 @@ def _launch(order: dict[str, Any]) -> NoReturn:
         os.close(writes)
         _become(order, reads, failure)
     os.close(failure)
-    _tell({"pid": listed_pid(pid)})
+    _tell({"pid": listed_pid(pid), "own_pids": own_pids})
     os.read(sys.stdin.fileno(), 1)
     os.write(writes, b"x")
     problem = os.read(failed, 256).decode()

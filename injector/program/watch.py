@@ -56,10 +56,11 @@ class RunWatch:
     def _note(self, thread: Tracee, report: StopReport) -> None:
         if report.kind == "signal":
             try:
-                sender = ptrace.sent_from_outside(thread.tid)
+                sender = ptrace.signal_sender(thread.tid)
             except GoneError:
                 return
-            self.killed_by_another = self.killed_by_another or sender
+            if sender is not None and self._program.is_outside(sender):
+                self.killed_by_another = True
 
     def _hangs(self) -> bool:
         try:

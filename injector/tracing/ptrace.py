@@ -388,10 +388,12 @@ def sent_by_another(tid: int, number: int | None = None) -> bool:
     return signal_code(tid) <= 0 and sender != (tid if number is None else number)
 
 
-def sent_from_outside(tid: int) -> bool:
-    """Whether a process outside of its pid namespace has sent the signal at which a tracee stands."""
-    sender = int.from_bytes(_siginfo(tid)[16:20], "little")
-    return signal_code(tid) in _SENT and sender == 0
+def signal_sender(tid: int) -> int | None:
+    """The process that has sent the signal at which a tracee stands; None if the kernel has.
+
+    By the number that it has in the tracee's pid namespace: 0 if it is outside.
+    """
+    return int.from_bytes(_siginfo(tid)[16:20], "little") if signal_code(tid) in _SENT else None
 
 
 def _siginfo(tid: int) -> bytes:
