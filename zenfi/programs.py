@@ -27,6 +27,7 @@ from dashboard.analysis.kernel_study import (
     summarise,
 )
 from deploy.config.check import check_machine
+from deploy.config.workdir import mission_folder
 from deploy.config.written_faults import fault_fields
 from deploy.errors import BadSpecError
 from deploy.kernel_study.file import StudyFile, kept_study
@@ -79,6 +80,8 @@ def program(
     ignore: Sequence[str] = (),
     status: int = 0,
     detected: Sequence[int] = (),
+    tolerance: float | None = None,
+    comparator: Sequence[str] = (),
     module: str = "",
     symbol: str = "",
     address: int | None = None,
@@ -87,7 +90,7 @@ def program(
 
     With ``inputs`` (copied into it) or ``compare`` (files that it writes) each run has a folder of its own.
     It finds :data:`ENVIRONMENT` and ``environment``, and nothing of this process's; without a fault it ends
-    with exit ``status``.
+    with exit ``status``. ``tolerance`` and ``comparator`` say which outputs count as the same.
 
     :raises BadSpecError: if there is no such program or file, or something does not go together.
     """
@@ -108,6 +111,8 @@ def program(
     if unknown := [one for one in ignore if one not in STREAMS]:
         message = f"--ignore {unknown[0]}: known are {', '.join(STREAMS)}"
         raise BadSpecError(message)
+    if tolerance is not None and comparator:
+        raise BadSpecError("--tolerance and --comparator both say what counts as the same: leave out one")
     if address is not None and not module:
         raise BadSpecError("--address needs its module: MODULE+0x10")
     return ProgramSpec(
@@ -121,6 +126,8 @@ def program(
         ignored=tuple(ignore),
         status=status,
         detected=tuple(detected),
+        tolerance=tolerance,
+        comparator=tuple(comparator),
         module=module,
         symbol=symbol,
         address=address,
@@ -152,19 +159,19 @@ def run(
     aimed = asked.model_copy(update={"scope": "thread"})  # of a kernel's name, too
     path = Path(output) if output is not None else None
     bar = Progress(console=Console(stderr=True), disable=not progress)
-    with closing(StudyFile(path)) as file, bar:
+    with mission_folder() as scratch, closing(StudyFile(path)) as file, bar:
         section = file.section(spec.name, aimed, seed, spec)
         known = set(section.runs)
         task = bar.add_task(spec.name, total=injections, completed=min(len(known), injections))
         begin = time.monotonic()
-        workers = program_worker(ProgramOrder(program=spec, limit_s=limit_s))
+        workers = program_worker(ProgramOrder(program=spec, limit_s=limit_s, scratch=str(scratch)))
         study = Study(workers, aimed, injections, seed, slots or len(os.sched_getaffinity(0)), section)
         runs = study.run(lambda _: bar.advance(task))
         made = sum(one.index not in known for one in runs)
         section.finish(runs)
         rates = made / (time.monotonic() - begin), 1e3 * study.cpu_s / made if made else 0.0
         assert section.length is not None  # noqa: S101 - the study is made
-        summary = summarise(spec.name, "", runs, section.length, *rates, results=PROGRAM_RESULTS)
+        summary = summarise(spec.name, "relative", runs, section.length, *rates, results=PROGRAM_RESULTS)
     return ProgramStudy(spec, aimed, seed, summary, runs)
 
 
@@ -196,8 +203,10 @@ def replay(
         message = f"{file}: there is no run {missing[0]}"
         raise BadSpecError(message)
     wanted = [runs[index] for index in indices] or [one for one in runs.values() if one.point is not None]
-    workers = program_worker(ProgramOrder(program=header.program, limit_s=limit_s))
     section = StudyFile(None).section(header.kernel, header.fault, header.seed, header.program)
-    again = Study(workers, header.fault, 0, header.seed, slots or len(os.sched_getaffinity(0)), section)
-    made = again.make_again([one.point for one in wanted if one.point is not None])
+    with mission_folder() as scratch:
+        order = ProgramOrder(program=header.program, limit_s=limit_s, scratch=str(scratch))
+        at_a_time = slots or len(os.sched_getaffinity(0))
+        again = Study(program_worker(order), header.fault, 0, header.seed, at_a_time, section)
+        made = again.make_again([one.point for one in wanted if one.point is not None])
     return [ReplayedRun(one, made[one.index]) for one in wanted]

@@ -10,6 +10,7 @@ import numpy as np
 
 from dashboard.campaigns.statistics.proportions import wilson
 from injector.kernel_study.results import CallLength, StudyResult, StudyRun
+from injector.tracing.symbols import demangled
 from services.models.base import Strict
 from services.models.outcome import InjectionRecord
 
@@ -127,7 +128,7 @@ WAYS: Mapping[str, Callable[[InjectionRecord], str]] = {
     "role": lambda record: record.operand or "code",
     "bit": _bit,
     "module": lambda record: record.module or "compiled at run time",
-    "symbol": lambda record: record.symbol or "unknown",
+    "symbol": lambda record: demangled(record.symbol) or "unknown",
 }
 """By what injections can be divided; bits in groups of eight."""
 

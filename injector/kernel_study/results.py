@@ -39,9 +39,10 @@ class StudyRun(Strict):
 
     ``sdc``: the output differs in a bit; ``within_tolerance`` says whether by no more than matters, and
     ``deviation`` by how much in the kernel's unit (None: it has more or fewer values, or not all are
-    numbers). ``detected``: the program ended with an exit status by which it says that it noticed.
-    ``cause``: of a crash, the signal or "exception"; of a program's SDC, what differs. Pid, tid and pause of
-    the record are 0, as they tell nothing of a copy; the rest is the same in every run.
+    numbers). A program's run within its tolerance is benign. ``detected``: the program ended with an exit
+    status by which it says that it noticed. ``cause``: of a crash, the signal or "exception"; of a program's
+    run, what differs. Pid, tid and pause of the record are 0, as they tell nothing of a copy; the rest is the
+    same in every run.
     """
 
     kernel: str

@@ -17,10 +17,11 @@ from injector.faults.record import exact_site, record_of
 from injector.faults.stopped_thread import InjectionResult
 from injector.kernel_study.results import CallLength, SamplePoint, StudyResult, StudyRun
 from injector.program.approach import NotReachedError, ProgramApproach
+from injector.program.comparison import OutputDifference, UnsuitableProgramError
 from injector.program.counted_program import CountedProgram
 from injector.program.launched_program import Ending, LaunchedProgram
 from injector.program.profile import ProgramProfile
-from injector.program.runs import GoldenRun, ProgramRuns, UnsuitableProgramError
+from injector.program.runs import GoldenRun, ProgramRuns
 from injector.program.watch import RunWatch
 from injector.tracing.elf import CodeLocation, CodeLocations
 from injector.tracing.process import VanishedError
@@ -76,12 +77,15 @@ class ProgramInjector:
             with self._runs.launch(counted=True) as program:
                 counted = CountedProgram(program)
                 blocks = counted.run(COUNTED_S)
-                output = self._runs.output(program.await_end())
+                ending = program.await_end()
         except UncountableError as error:
             message = f"{self._name}: {error}"
             raise UnsuitableProgramError(message) from error
-        if differs := output.differs_from(self._golden.output):
-            message = f"{self._name}: it runs otherwise when its instructions are counted ({differs})"
+        difference = self._runs.difference(ending, self._golden)
+        if difference.matters:
+            message = (
+                f"{self._name}: it runs otherwise when its instructions are counted ({difference.words})"
+            )
             raise UnsuitableProgramError(message)
         return ProgramProfile(program.pid, counted, blocks, self._runs.spec)
 
@@ -116,16 +120,18 @@ class ProgramInjector:
                 place, found = None, InjectionResult("failed", str(error))
             watch.begin_anew()
             hangs = bool(found.bits) and not _run_on(program, watch)
+            lives = program.main is not None
             program.kill()
         ending = program.await_end()
-        killed = ending.status == -signal.SIGKILL and bool(found.bits) and not hangs
-        if watch.killed_by_another or killed:
+        if watch.killed_by_another or (ending.status == -signal.SIGKILL and not lives):
             return None
-        result, cause = self._judge(fault, found, None if hangs else ending)
+        result, cause, difference = self._judge(fault, found, None if hangs else ending)
         return StudyRun(
             kernel=self._name,
             index=point.index,
             result=result,
+            within_tolerance=difference.within_tolerance,
+            deviation=difference.deviation,
             cause=cause,
             point=point,
             injection=record_of(
@@ -142,7 +148,18 @@ class ProgramInjector:
 
     def _judge(
         self, fault: FaultSpec, found: InjectionResult, ending: Ending | None
-    ) -> tuple[StudyResult, str]:
+    ) -> tuple[StudyResult, str, OutputDifference]:
+        """What came of a run: the outcome, its cause, and by how much its output differs."""
+        result, cause = self._ended(fault, found, ending)
+        if result or ending is None:
+            return result or "hang", cause, OutputDifference("")
+        difference = self._runs.difference(ending, self._golden)
+        return "sdc" if difference.matters else "benign", difference.words, difference
+
+    def _ended(
+        self, fault: FaultSpec, found: InjectionResult, ending: Ending | None
+    ) -> tuple[StudyResult | None, str]:
+        """The outcome, if it does not depend on the run's output."""
         dummy = fault.model == "none" and bool(found.bits)
         if found.status != "injected" and not dummy:
             return "not_injected", found.reason
@@ -154,8 +171,7 @@ class ProgramInjector:
             return "crash", signal_name(-ending.status)
         if ending.status in self._runs.spec.detected:
             return "detected", f"exit status {ending.status}"
-        differs = self._runs.output(ending).differs_from(self._golden.output)
-        return ("sdc", differs) if differs else ("benign", "")
+        return None, ""
 
     def _place_of(self, program: LaunchedProgram, address: int) -> CodeLocation:
         """Where an address lies; files that were read for other runs are not read again."""

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shutil
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import NoReturn, Self
 
+from injector.program.comparison import (
+    ABSENT,
+    OutputDifference,
+    RunOutput,
+    UnsuitableProgramError,
+    compared_by,
+    deviation_of,
+    digest_of,
+)
 from injector.program.launched_program import Ending, LaunchedProgram, Launcher, Order, padded
 from injector.program.spec import STREAMS, ProgramSpec
 from services.system.signal_names import signal_name
@@ -23,25 +30,8 @@ LARGEST_FILE = 64 << 20
 """Bytes that a run may write into a file, or twice what a golden one writes."""
 
 _WRITE = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
-_ABSENT = "absent"
-
-
-class UnsuitableProgramError(Exception):
-    """The program cannot be struck as it is: one line that says why and what to do."""
-
-
-@dataclass(frozen=True, slots=True)
-class RunOutput:
-    """What a run left: exit status (negative: the signal), and the digest of each file that is compared."""
-
-    status: int
-    digests: tuple[tuple[str, str], ...]
-
-    def differs_from(self, golden: RunOutput) -> str:
-        """What differs, in words; empty if nothing does."""
-        words = [f"exit status {self.status}, not {golden.status}"] if self.status != golden.status else []
-        pairs = zip(self.digests, golden.digests, strict=True)
-        return ", ".join([*words, *(name for (name, ours), (_, theirs) in pairs if ours != theirs)])
+FILES = "files"
+"""The folder in which a run with a folder of its own is run, beside its standard output and error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,14 +46,16 @@ class GoldenRun:
 class ProgramRuns:
     """Launches a program again and again, within ``with``, which removes what its runs have written."""
 
-    def __init__(self, spec: ProgramSpec, processor: int) -> None:
-        """Make ready; a run that is counted has one ``processor``."""
+    def __init__(self, spec: ProgramSpec, processor: int, scratch: Path) -> None:
+        """Make ready; a run that is counted has one ``processor``. What runs write lies in ``scratch``."""
         self.spec, self._processor = spec, processor
         self._environment = padded(spec.executable, spec.command, spec.environment)
-        self._largest = LARGEST_FILE
+        self._largest, self._scratch = LARGEST_FILE, scratch
 
     def __enter__(self) -> Self:
-        self._folder = Path(tempfile.mkdtemp(prefix="zenfi-program-"))
+        self._folder = Path(tempfile.mkdtemp(dir=self._scratch))
+        self._of_run, self._of_golden = self._folder / "run", self._folder / "golden"
+        self._of_run.mkdir()
         self._launcher = Launcher()
         return self
 
@@ -77,7 +69,7 @@ class ProgramRuns:
         :raises LaunchError: if it cannot be executed.
         """
         spec = self.spec
-        own = self._folder / "run"
+        own = self._of_run / FILES
         if spec.has_own_folder:
             shutil.rmtree(own, ignore_errors=True)
             own.mkdir()
@@ -90,7 +82,7 @@ class ProgramRuns:
             folder=str(own) if spec.has_own_folder else spec.folder,
             streams=[
                 (spec.stdin, os.O_RDONLY),
-                *((str(self._folder / name), _WRITE) for name in STREAMS),
+                *((str(self._of_run / name), _WRITE) for name in STREAMS),
             ],
             processors=[self._processor] if counted else [],
             largest_file=self._largest,
@@ -99,11 +91,34 @@ class ProgramRuns:
 
     def output(self, ending: Ending) -> RunOutput:
         """What the last run left behind: how it ended, and the digests of its files."""
-        found = tuple((name, _digest(self._file(name))) for name in self.spec.compared)
+        found = tuple((name, digest_of(self._file(name))) for name in self.spec.compared)
         return RunOutput(ending.status, found)
 
+    def difference(self, ending: Ending, golden: GoldenRun) -> OutputDifference:
+        """What the last run has otherwise than one without a fault, by the specified comparison.
+
+        :raises UnsuitableProgramError: if the comparator fails.
+        """
+        output = self.output(ending)
+        words = output.differs_from(golden.output)
+        if not words or output.status != golden.output.status:
+            return OutputDifference(words)
+        if self.spec.comparator:
+            same = compared_by(self.spec.comparator, self._of_golden, self._of_run)
+            return OutputDifference("" if same else words)
+        if self.spec.tolerance is None:
+            return OutputDifference(words)
+        apart = [
+            deviation_of(file, self._of_golden / file.relative_to(self._of_run))
+            for file in map(self._file, self.spec.compared)
+        ]
+        known = [one for one in apart if one is not None]
+        deviation = max(known) if len(known) == len(apart) else None
+        within = deviation is not None and deviation <= self.spec.tolerance
+        return OutputDifference(words, within_tolerance=within, deviation=deviation)
+
     def _file(self, name: str) -> Path:
-        return self._folder / name if name in STREAMS else self._folder / "run" / name
+        return self._of_run / name if name in STREAMS else self._of_run / FILES / name
 
     def golden(self, limit_s: float) -> GoldenRun:
         """Run the program without a fault.
@@ -120,8 +135,12 @@ class ProgramRuns:
                     raise UnsuitableProgramError(message)
                 ending = program.await_end()
             outputs.append(self.output(ending))
+            if len(outputs) == 1:
+                shutil.copytree(self._of_run, self._of_golden)
+            elif self.difference(ending, GoldenRun(outputs[0], 0.0, 0.0)).matters:
+                self._refuse(outputs[-1].differs_from(outputs[0]))
             cpu_s, wall_s = max(cpu_s, ending.cpu_s), max(wall_s, time.monotonic() - begin)
-        self._check(outputs)
+        self._check(outputs[0])
         sizes = [self._file(one).stat().st_size for one in self.spec.compared if self._file(one).exists()]
         self._largest = max(LARGEST_FILE, 2 * max(sizes, default=0))
         return GoldenRun(outputs[0], cpu_s, wall_s)
@@ -130,14 +149,15 @@ class ProgramRuns:
         lines = self._file("stderr").read_text(errors="replace").splitlines()
         return f" ({lines[0][:200]})" if lines else ""
 
-    def _check(self, outputs: Sequence[RunOutput]) -> None:
-        name, golden = self.spec.name, outputs[0]
-        if differs := next(filter(None, (other.differs_from(golden) for other in outputs[1:])), ""):
-            message = (
-                f"{name}: its output is not the same in each run without a fault ({differs}): take away what "
-                "changes it, or do not compare it (--ignore)"
-            )
-            raise UnsuitableProgramError(message)
+    def _refuse(self, differs: str) -> NoReturn:
+        message = (
+            f"{self.spec.name}: its output is not the same in each run without a fault ({differs}): take "
+            "away what changes it, do not compare it (--ignore), or say how (--tolerance, --comparator)"
+        )
+        raise UnsuitableProgramError(message)
+
+    def _check(self, golden: RunOutput) -> None:
+        name = self.spec.name
         if golden.status < 0:
             message = f"{name}: {signal_name(-golden.status)} ends it without a fault"
             raise UnsuitableProgramError(message)
@@ -150,15 +170,7 @@ class ProgramRuns:
         if golden.status in self.spec.detected:
             message = f"--detected {golden.status}: {name} ends so without a fault, too"
             raise UnsuitableProgramError(message)
-        absent = [one for one, digest in golden.digests if digest == _ABSENT]
+        absent = [one for one, digest in golden.digests if digest == ABSENT]
         if absent:
-            message = f"--output {absent[0]}: {name} writes no such file"
+            message = f"--compare {absent[0]}: {name} writes no such file"
             raise UnsuitableProgramError(message)
-
-
-def _digest(file: Path) -> str:
-    try:
-        with file.open("rb") as content:
-            return hashlib.file_digest(content, "sha256").hexdigest()
-    except OSError:
-        return _ABSENT

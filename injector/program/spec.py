@@ -16,7 +16,8 @@ class ProgramSpec(Strict):
     With ``inputs`` or ``outputs`` each run has a folder of its own, with copies of the inputs; otherwise it
     runs in ``folder``. ``environment`` is all that it has. Exit statuses ``detected`` say that the program
     noticed an error itself. ``module``, ``symbol`` and ``address`` (an offset as objdump shows it) narrow the
-    code to a file, a function or one instruction.
+    code to a file, a function or one instruction. A ``comparator`` is given two folders, of a run without a
+    fault and of one with: it ends with status 0 if their outputs count as the same, with 1 if not.
     """
 
     command: tuple[str, ...] = Field(min_length=1)
@@ -29,6 +30,8 @@ class ProgramSpec(Strict):
     ignored: tuple[str, ...] = Field(default=(), description="of stdout and stderr: not compared")
     status: int = Field(default=0, description="exit status without a fault")
     detected: tuple[int, ...] = ()
+    tolerance: float | None = Field(default=None, ge=0, description="relative, of numbers in text")
+    comparator: tuple[str, ...] = ()
     module: str = ""
     symbol: str = ""
     address: int | None = None
@@ -50,7 +53,8 @@ class ProgramSpec(Strict):
 
 
 class ProgramOrder(Strict):
-    """What a worker is told first: the program, and how long a run without a fault may take."""
+    """What a worker is told first: the program, the longest run without a fault, and where to write."""
 
     program: ProgramSpec
     limit_s: float
+    scratch: str

@@ -9,12 +9,14 @@ import os
 import resource
 import signal
 import sys
+from pathlib import Path
 
 from injector.kernel_study.results import StudyAnswer, StudyTask
+from injector.program.comparison import UnsuitableProgramError
 from injector.program.launched_program import LaunchError
 from injector.program.profile import ScopeError
 from injector.program.program_injector import ProgramInjector
-from injector.program.runs import ProgramRuns, UnsuitableProgramError
+from injector.program.runs import ProgramRuns
 from injector.program.spec import ProgramOrder
 from services.system.lifeline import die_with_parent
 
@@ -26,7 +28,7 @@ def main() -> None:
     order = ProgramOrder.model_validate_json(sys.stdin.readline())
     processor = min(os.sched_getaffinity(0))
     try:
-        with ProgramRuns(order.program, processor) as runs:
+        with ProgramRuns(order.program, processor, Path(order.scratch)) as runs:
             _answer(ProgramInjector(runs, order.limit_s))
     except (UnsuitableProgramError, ScopeError, LaunchError) as error:
         _say(StudyAnswer(refused=str(error)))

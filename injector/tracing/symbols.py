@@ -19,6 +19,10 @@ SHOWN = 6
 
 _IDENTIFIER = re.compile(r"[A-Za-z_]\w*")
 
+_RUST_HASH = re.compile(r"::h[0-9a-f]{16}$")
+_RUST_SIGNS = {"LT": "<", "GT": ">", "RF": "&", "BP": "*", "C": ",", "LP": "(", "RP": ")", "SP": "@"}
+_RUST_SIGN = re.compile(rf"\$({'|'.join(_RUST_SIGNS)}|u[0-9a-f]+)\$")
+
 
 class SymbolError(Exception):
     """No function, or no library, or not just one: one line that names those that are like it."""
@@ -104,9 +108,10 @@ def plain(name: str) -> str:
 
 
 def spellings(name: str) -> set[str]:
-    """What somebody may write for a demangled name: with parameters, and without."""
+    """What somebody may write for a demangled name: with return type and parameters or without."""
     whole = plain(name)
-    return {whole, _without_parameters(whole)}
+    bare = _without_parameters(whole)
+    return {whole, whole[whole.index(bare) :], bare}
 
 
 def _without_parameters(name: str) -> str:
@@ -138,16 +143,24 @@ def _demangler() -> Any:
 
 
 def demangled(symbol: str) -> str:
-    """What C++ calls a function; a name that is not of C++ stays as it is."""
+    """What C++ or Rust calls a function; another name stays as it is."""
     if not symbol.startswith("_Z") or _demangler() is None:
         return symbol
     found = _demangler()(symbol.encode(), None, None, None)
     if not found:
         return symbol
     try:
-        return ctypes.string_at(found).decode(errors="replace")
+        name = ctypes.string_at(found).decode(errors="replace")
     finally:
         libc.free(ctypes.c_void_p(found))
+    return _of_rust(name) if _RUST_HASH.search(name) else name
+
+
+def _of_rust(name: str) -> str:
+    """A name of Rust, as C++ demangles it, without its hash and with its own signs (legacy mangling)."""
+    without = _RUST_HASH.sub("", name).replace("..", "::")
+    shown = _RUST_SIGN.sub(lambda sign: _RUST_SIGNS.get(sign[1]) or chr(int(sign[1][1:], 16)), without)
+    return re.sub(r"(^|::)_(?=<)", r"\1", shown)
 
 
 def _near(name: str, symbols: Iterable[str]) -> list[str]:

@@ -1314,4 +1314,82 @@ MUTANTS: list[Mutant] = [
         "tests/injector/test_node.py",
         ("injector: a pid of another host is one of ours", "if one.boot_id == target.boot_id and ", "if "),
     ),
+    *_of(
+        "injector/program/approach.py",
+        "tests/injector/program/test_approach.py",
+        (
+            "program: the countdown ends a pass early",
+            "self._point.counted_at, self._point.hit)",
+            "self._point.counted_at, self._point.hit - 1)",
+        ),
+    ),
+    *_of(
+        "injector/program/profile.py",
+        "tests/injector/program/test_approach.py",
+        (
+            "program: passes are counted where others pass, too",
+            "if self._passes[one] != self._passes[address]:",
+            "if self._passes[one] < self._passes[address]:",
+        ),
+    ),
+    *_of(
+        "injector/program/countdown.py",
+        "tests/injector/program/test_approach.py",
+        (
+            "program: a jump is put where others arrive",
+            "if any(address + at in arrivals for at in range(1, size)):",
+            "if any(address + at in arrivals for at in range(1, 1)):",
+        ),
+    ),
+    *_of(
+        "injector/program/translator.py",
+        "tests/injector/program/test_counted_program.py",
+        (
+            "program: return addresses are those of translations",
+            "            self._push(one.next_ip)\n            self.way_out(JUMP, one.near_branch_target)",
+            "            self._push(self.at)\n            self.way_out(JUMP, one.near_branch_target)",
+        ),
+        (
+            "program: counting spoils the overflow flag",
+            "self.code += _OVERFLOW_FROM_AL + _FLAGS_FROM_AH + _RAX_BACK",
+            "self.code += _FLAGS_FROM_AH + _RAX_BACK",
+        ),
+    ),
+    *_of(
+        "injector/program/launched_program.py",
+        "tests/injector/program/test_launched_program.py",
+        ("program: the stack lies by the environment", "-size % STACK_STRINGS", "-size % 1"),
+        (
+            "program: random bytes are drawn by the kernel",
+            "            self.give_random_bytes(thread)\n        super",
+            "            pass\n        super",
+        ),
+    ),
+    *_of(
+        "injector/program/watch.py",
+        "tests/injector/program/test_program_injector.py",
+        (
+            "program: who is killed by another process has crashed",
+            "if sender is not None and self._program.is_outside(sender):",
+            "if sender is not None and not self._program.is_outside(sender):",
+        ),
+    ),
+    *_of(
+        "injector/program/program_injector.py",
+        "tests/injector/program/test_program_injector.py",
+        (
+            "program: an exit status that tells of an error is silent corruption",
+            "if ending.status in self._runs.spec.detected:",
+            "if ending.status in ():",
+        ),
+    ),
+    *_of(
+        "injector/program/comparison.py",
+        "tests/injector/program/test_comparison.py",
+        (
+            "program: a deviation is that of the first number",
+            "    return max(apart, default=0.0)",
+            "    return next(apart, 0.0)",
+        ),
+    ),
 ]

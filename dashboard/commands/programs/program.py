@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -81,6 +82,10 @@ limit = click.option(
 @click.option(
     "--detected", multiple=True, type=click.IntRange(0, 255), help="By this exit status it says so."
 )
+@click.option("--tolerance", type=click.FloatRange(0), help="Relative, of numbers in the output.")
+@click.option(
+    "--comparator", default="", metavar="COMMAND", help="Compares: COMMAND GOLDEN_FOLDER RUN_FOLDER."
+)
 @click.option("--status", type=click.IntRange(0, 255), default=0, help="Exit status without a fault.")
 @click.option("--env", "environment", multiple=True, metavar="NAME[=VALUE]", help="Passed to the program.")
 @limit
@@ -103,6 +108,8 @@ def run(
     inputs: tuple[str, ...],
     compare: tuple[str, ...],
     ignore: tuple[str, ...],
+    tolerance: float | None,
+    comparator: str,
     status: int,
     detected: tuple[int, ...],
     environment: tuple[str, ...],
@@ -128,6 +135,8 @@ def run(
         inputs=inputs,
         compare=compare,
         ignore=ignore,
+        tolerance=tolerance,
+        comparator=shlex.split(comparator),
         status=status,
         detected=detected,
         module=where,
@@ -181,6 +190,8 @@ def _tables(study: ProgramStudy, ways: tuple[str, ...]) -> Iterator[Table]:
         table.add_column(column, justify="left" if column == "outcome" else "right")
     for name, share in summary.shares.items():
         table.add_row(name, str(share.count), *_share(share, summary.injected))
+        if name == "benign" and study.program.tolerance is not None:
+            table.add_row("  within tolerance", str(summary.tolerable_sdc), "", "")
     missed = sum(summary.not_injected.values())
     table.add_row("not injected", str(missed), "", "")
     yield table

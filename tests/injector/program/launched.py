@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -65,6 +66,15 @@ def spec_of(command: Sequence[str | Path], **more: object) -> ProgramSpec:
 
 
 @contextmanager
+def runs_of(spec: ProgramSpec) -> Iterator[ProgramRuns]:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ProgramRuns(spec, min(os.sched_getaffinity(0)), Path(folder)) as runs,
+    ):
+        yield runs
+
+
+@contextmanager
 def injector_of(spec: ProgramSpec) -> Iterator[ProgramInjector]:
-    with ProgramRuns(spec, min(os.sched_getaffinity(0))) as runs:
+    with runs_of(spec) as runs:
         yield ProgramInjector(runs, LIMIT_S)

@@ -1,6 +1,5 @@
 """Counted runs: as many passes as a run in single steps makes, and the same output."""
 
-import os
 from collections import Counter
 from itertools import groupby
 from pathlib import Path
@@ -10,11 +9,11 @@ import pytest
 
 from injector.block_profile.counted_call import UncountableError
 from injector.isa.host import decode
+from injector.program.comparison import UnsuitableProgramError
 from injector.program.counted_program import CountedProgram
-from injector.program.runs import ProgramRuns, UnsuitableProgramError
 from injector.program.spec import ProgramSpec
 from injector.tracing import ptrace
-from tests.injector.program.launched import COUNTS, LIMIT_S, compiled, injector_of, spec_of
+from tests.injector.program.launched import COUNTS, LIMIT_S, compiled, injector_of, runs_of, spec_of
 
 BUSY = """
 #include <pthread.h>
@@ -71,7 +70,7 @@ int main() {
 
 def stepped(spec: ProgramSpec) -> Counter[int]:
     """The passes of a run in single steps; a repeated instruction counts once."""
-    with ProgramRuns(spec, min(os.sched_getaffinity(0))) as runs, runs.launch() as program:
+    with runs_of(spec) as runs, runs.launch() as program:
         main, addresses = program.threads[program.pid], []
         while True:
             passed, report = ptrace.trace(program.pid, 10_000_000)
@@ -86,7 +85,7 @@ def stepped(spec: ProgramSpec) -> Counter[int]:
 
 
 def counted(spec: ProgramSpec) -> tuple[Counter[int], list[bytes]]:
-    with ProgramRuns(spec, min(os.sched_getaffinity(0))) as runs, runs.launch(counted=True) as program:
+    with runs_of(spec) as runs, runs.launch(counted=True) as program:
         made = CountedProgram(program)
         blocks = made.run(LIMIT_S)
     passes: Counter[int] = Counter()
@@ -160,7 +159,7 @@ def test_code_that_is_made_at_run_time_is_refused(tmp_path: Path) -> None:
 def test_what_does_not_end_is_given_up() -> None:
     spec = spec_of(["sleep", "1000"])
     with (
-        ProgramRuns(spec, min(os.sched_getaffinity(0))) as runs,
+        runs_of(spec) as runs,
         runs.launch(counted=True) as program,
         pytest.raises(UncountableError, match="did not come to its end"),
     ):

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare
 
+from injector.kernel_study.results import StudyRun
+from injector.program.comparison import UnsuitableProgramError
 from injector.program.profile import ScopeError
-from injector.program.runs import ProgramRuns, UnsuitableProgramError
 from services.models.faults.specification import FaultSpec
 from tests.conftest import descendants
-from tests.injector.program.launched import COUNTS, compiled, injector_of, offset_of, spec_of
+from tests.injector.program.launched import COUNTS, compiled, injector_of, offset_of, runs_of, spec_of
 
 CHECKS = """
 #include <stdio.h>
@@ -119,7 +120,7 @@ def test_only_the_code_that_is_asked_for_is_struck(tmp_path: Path) -> None:
 )
 def test_what_cannot_be_judged_is_refused(command: list[str], more: dict[str, object], problem: str) -> None:
     with (
-        ProgramRuns(spec_of(command, **more), min(os.sched_getaffinity(0))) as runs,
+        runs_of(spec_of(command, **more)) as runs,
         pytest.raises(UnsuitableProgramError, match=problem),
     ):
         runs.golden(1.0)
@@ -158,3 +159,45 @@ def test_a_run_that_another_process_kills_is_made_again(tmp_path: Path) -> None:
         killer.join()
     assert killed
     assert results == ["benign", "benign"]
+
+
+NUMBERS = """
+#include <math.h>
+#include <stdio.h>
+double sum;
+int main(void) {
+    for (int at = 1; at < 3000; at++) sum += sqrt(at) / at;
+    printf("sum %.12g\\n", sum);
+}
+"""
+
+
+def test_a_tolerance_and_a_comparator_say_what_counts_as_the_same(tmp_path: Path) -> None:
+    program = compiled(tmp_path, NUMBERS, "numbers", "-lm")
+    fault = FAULT.model_copy(update={"field": "mantissa"})
+
+    def outcomes(**more: object) -> list[StudyRun]:
+        with injector_of(spec_of([program], module="numbers", **more)) as injector:
+            _, points = injector.draw(fault, 1, range(20))
+            return [run for _, run in injector.run(points, fault, 1)]
+
+    exact, loose = outcomes(), outcomes(tolerance=0.01)
+    assert {"sdc"} <= {run.result for run in exact} <= {"sdc", "benign"}
+    changed = [run for run, was in zip(loose, exact, strict=True) if was.result == "sdc"]
+    assert all(run.deviation is not None for run in changed)
+    assert all((run.result == "benign") == run.within_tolerance for run in changed)
+    assert all((run.deviation or 0.0) <= 0.01 for run in changed if run.within_tolerance)
+    assert any(run.within_tolerance for run in changed)
+    (tmp_path / "always").write_text("#!/bin/sh\nexit 0\n")
+    (tmp_path / "always").chmod(0o755)
+    assert {run.result for run in outcomes(comparator=(str(tmp_path / "always"),))} == {"benign"}
+
+
+def test_what_never_repeats_is_struck_with_a_comparator(tmp_path: Path) -> None:
+    (tmp_path / "alike").write_text("#!/bin/sh\ngrep -q '^[0-9]*$' $2/stdout\n")
+    (tmp_path / "alike").chmod(0o755)
+    spec = spec_of(["date", "+%N"], comparator=(str(tmp_path / "alike"),))
+    with injector_of(spec) as injector:
+        _, points = injector.draw(FAULT, 1, range(15))
+        found = {run.result for _, run in injector.run(points, FAULT, 1)}
+    assert "benign" in found
