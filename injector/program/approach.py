@@ -6,7 +6,11 @@ import signal
 from contextlib import ExitStack, suppress
 
 from injector.block_profile.counted_call import UncountableError
-from injector.block_profile.translation_memory import TranslationMemoryError
+from injector.block_profile.translation_memory import (
+    TranslationMemory,
+    TranslationMemoryError,
+    map_near,
+)
 from injector.block_profile.x86_64_translator import TranslationError
 from injector.kernel_study.results import SamplePoint
 from injector.program.countdown import Countdown
@@ -56,10 +60,11 @@ class ProgramApproach:
         try:
             if not point.counted_at and point.hit > MOST_BY_BREAKPOINT:
                 return CountedProgram(self._program, point.at).run_to_stop(IN_TRANSLATION_S)
-            if point.counted_at and stands_there:
-                thread = self._count_down(main)
-            elif point.counted_at:
-                thread = self._count_down(self._to_breakpoint(point.counted_at, 1))
+            if point.counted_at:
+                # Now: later the program may have a filter of its own for calls of the kernel.
+                memory = map_near(main.tid, self._program.process, point.counted_at)
+                first = main if stands_there else self._to_breakpoint(point.counted_at, 1)
+                thread = self._count_down(first, memory)
             elif stands_there and point.hit == 1:
                 return main
             else:
@@ -94,12 +99,9 @@ class ProgramApproach:
                 watch_over(thread)
             self._program.resume(thread)
 
-    def _count_down(self, thread: Tracee) -> Tracee:
+    def _count_down(self, thread: Tracee, memory: TranslationMemory) -> Tracee:
         """From the first pass through where they are counted to the drawn one."""
-        process = self._program.process
-        mapping = process.maps().at(self._point.counted_at)
-        assert mapping is not None  # noqa: S101 - a thread stands there
-        countdown = Countdown(thread.tid, process, mapping.start, self._point.counted_at, self._point.hit)
+        countdown = Countdown(self._program.process, memory, self._point.counted_at, self._point.hit)
         self._countdown = countdown
         self._program.resume(thread)
         while True:

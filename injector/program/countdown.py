@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import iced_x86
 from iced_x86 import FlowControl
 
-from injector.block_profile.translation_memory import map_near
+from injector.block_profile.translation_memory import TranslationMemory
 from injector.block_profile.x86_64_translator import (
     MOST_BYTES,
     TRAP,
@@ -77,12 +77,10 @@ def displaced(code: bytes, address: int, arrivals: Container[int]) -> Displaced 
 class Countdown:
     """Traps the program at a pass through an address; to be closed when it has, or before a fault."""
 
-    def __init__(self, tid: int, process: Process, near: int, address: int, passes: int) -> None:
-        """Put the code in place: the ``passes``-th pass from now on is trapped, before the instruction.
+    def __init__(self, process: Process, memory: TranslationMemory, address: int, passes: int) -> None:
+        """Put the code into ``memory``: the ``passes``-th pass from now on is trapped before the instruction.
 
-        ``near`` is where the piece of code begins that the address lies in.
-
-        :raises TranslationMemoryError, TranslationError: if it cannot be put there.
+        :raises TranslationError: if it cannot be put there.
         """
         self._process, self.address = process, address
         code = process.read_memory(address, min(MOST_BYTES, _room(process, address)))
@@ -91,7 +89,6 @@ class Countdown:
             message = f"no jump can be put at {address:#x}"
             raise TranslationError(message)
         self._true = code[: taken.size]
-        memory = map_near(tid, process, near)
         word = memory.words(1)
         process.write_memory(word, _WORD.pack(passes))
         written, self.trapped_at = _countdown(memory.here, word, code, taken)

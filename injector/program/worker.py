@@ -18,6 +18,8 @@ from injector.program.profile import ScopeError
 from injector.program.program_injector import ProgramInjector
 from injector.program.runs import ProgramRuns
 from injector.program.spec import ProgramOrder
+from injector.tracing.perf_events import TriggerError
+from injector.tracing.ptrace import PtraceError
 from services.system.lifeline import die_with_parent
 
 
@@ -30,7 +32,7 @@ def main() -> None:
     try:
         with ProgramRuns(order.program, processor, Path(order.scratch)) as runs:
             _answer(ProgramInjector(runs, order.limit_s))
-    except (UnsuitableProgramError, ScopeError, LaunchError) as error:
+    except (UnsuitableProgramError, ScopeError, LaunchError, TriggerError, PtraceError) as error:
         _say(StudyAnswer(refused=str(error)))
 
 

@@ -1319,8 +1319,8 @@ MUTANTS: list[Mutant] = [
         "tests/injector/program/test_approach.py",
         (
             "program: the countdown ends a pass early",
-            "self._point.counted_at, self._point.hit)",
-            "self._point.counted_at, self._point.hit - 1)",
+            "self._program.process, memory, self._point.counted_at, self._point.hit)",
+            "self._program.process, memory, self._point.counted_at, self._point.hit - 1)",
         ),
     ),
     *_of(

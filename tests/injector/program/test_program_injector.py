@@ -2,6 +2,7 @@
 
 import os
 import signal
+import struct
 import threading
 import time
 from collections import Counter
@@ -15,9 +16,18 @@ from scipy.stats import chisquare
 from injector.kernel_study.results import StudyRun
 from injector.program.comparison import UnsuitableProgramError
 from injector.program.profile import ScopeError
+from injector.tracing.ptrace import PtraceError
 from services.models.faults.specification import FaultSpec
 from tests.conftest import descendants
-from tests.injector.program.launched import COUNTS, compiled, injector_of, offset_of, runs_of, spec_of
+from tests.injector.program.launched import (
+    COUNTS,
+    LIMIT_S,
+    compiled,
+    injector_of,
+    offset_of,
+    runs_of,
+    spec_of,
+)
 
 CHECKS = """
 #include <stdio.h>
@@ -201,3 +211,40 @@ def test_what_never_repeats_is_struck_with_a_comparator(tmp_path: Path) -> None:
         _, points = injector.draw(FAULT, 1, range(15))
         found = {run.result for _, run in injector.run(points, FAULT, 1)}
     assert "benign" in found
+
+
+ALONE = """
+#include <linux/seccomp.h>
+#include <sys/prctl.h>
+#include <sys/syscall.h>
+#include <unistd.h>
+volatile unsigned long sum;
+int main(void) {
+    prctl(PR_SET_SECCOMP, SECCOMP_MODE_STRICT);
+    for (int at = 0; at < 5000; at++) sum += at;
+    write(1, sum == 12497500 ? "right\\n" : "wrong\\n", 6);
+    syscall(SYS_exit, 0);
+}
+"""
+
+
+def test_a_program_that_may_call_the_kernel_no_more_is_struck(tmp_path: Path) -> None:
+    with injector_of(spec_of([compiled(tmp_path, ALONE, "alone")], module="alone")) as injector:
+        _, points = injector.draw(FAULT, 1, range(30))
+        runs = [run for _, run in injector.run(points, FAULT, 1)]
+    assert {run.injection.status for run in runs} == {"injected"}
+    assert {"benign", "sdc"} <= {run.result for run in runs}
+    assert any(run.point is not None and run.point.counted_at for run in runs)
+
+
+def test_a_32_bit_program_is_refused(tmp_path: Path) -> None:
+    # An ELF file for i386 whose first instructions are exit(0): int 0x80 with eax 1 and ebx 0.
+    head = b"\x7fELF\x01\x01\x01".ljust(16, b"\0")
+    head += struct.pack("<HHIIIIIHHHHHH", 2, 3, 1, 0x8048054, 52, 0, 0, 52, 32, 1, 0, 0, 0)
+    code = b"\x31\xdb\xb8\x01\x00\x00\x00\xcd\x80"
+    segment = struct.pack("<IIIIIIII", 1, 0, 0x8048000, 0x8048000, 84 + len(code), 84 + len(code), 5, 0x1000)
+    program = tmp_path / "old"
+    program.write_bytes(head + segment + code)
+    program.chmod(0o755)
+    with runs_of(spec_of([program])) as runs, pytest.raises(PtraceError, match="32-bit"):
+        runs.golden(LIMIT_S)
