@@ -33,14 +33,9 @@ _O_TRACEEXIT, _O_TRACESECCOMP, _O_EXITKILL = 0x40, 0x80, 0x100000
 _WALL = 0x40000000
 _EVENT_STOP = 128
 _STOPPED_BY_INTERRUPT = _EVENT_STOP << 16 | _STOPPED_AT_TRAP
-_EVENTS: dict[int, Kind] = {
-    1: "new_process",  # PTRACE_EVENT_FORK
-    2: "new_process",  # PTRACE_EVENT_VFORK
-    3: "new_thread",
-    4: "program",
-    6: "exits",  # PTRACE_EVENT_EXIT
-    7: "filtered",  # PTRACE_EVENT_SECCOMP
-}
+# PTRACE_EVENT_FORK, VFORK, CLONE, EXEC, EXIT and SECCOMP
+_EVENTS: dict[int, Kind] = {1: "new_process", 2: "new_process", 3: "new_thread", 4: "program"}
+_EVENTS |= {6: "exits", 7: "filtered"}
 _STOPPED_AT_CALL = signal.SIGTRAP | 0x80
 _CALL_INFO = struct.Struct("=B3xIQQ7Q")  # which end, architecture, where it is, stack; number, arguments
 _ENTERED = 1
