@@ -23,9 +23,9 @@ from injector.tracing.process import AddressError, Process, ProcessIdentity, Van
 from injector.tracing.ptrace import GoneError, StopReport
 from injector.tracing.tracee import Tracee
 
-MOST_BY_BREAKPOINT = 20_000
-"""Passes that the processor counts, at 10 us each, where no code can be put: in translation a run takes a
-second or more before it has half the program's speed."""
+MOST_BY_BREAKPOINT = 80_000
+"""Passes that the processor counts, at 5 us each, where no code can be put: in translation a run takes
+half a second or more before it has half the program's speed."""
 
 IN_TRANSLATION_S = 600.0
 """Longest wall time without a sign of life of a run in translation."""

@@ -118,7 +118,7 @@ class ProgramInjector:
                 place, found = None, InjectionResult("not_reached", str(error))
             except (VanishedError, GoneError) as error:
                 place, found = None, InjectionResult("failed", str(error))
-            watch.begin_anew()
+            watch.begin()
             hangs = bool(found.bits) and not _run_on(program, watch)
             lives = program.main is not None
             program.kill()

@@ -34,11 +34,12 @@ class RunWatch:
         self._program = program
         self._limits_s = HANG_TIMES * cpu_s + HANG_MARGIN_S, HANG_TIMES * wall_s + HANG_MARGIN_S
         self._begun_s = 0.0, time.monotonic()
-        self._asleep = 0
+        self._limited, self._asleep = False, 0
         self.killed_by_another = False
 
-    def begin_anew(self) -> None:
-        """Count from here on: what was done to bring the program here took time, too."""
+    def begin(self) -> None:
+        """Limit the processor time from here on, the fault: counting passes took some, too."""
+        self._limited = True
         with suppress(OSError):
             self._begun_s = cpu_s(self._program.pid), time.monotonic()
 
@@ -64,7 +65,7 @@ class RunWatch:
 
     def _hangs(self) -> bool:
         try:
-            if cpu_s(self._program.pid) - self._begun_s[0] > self._limits_s[0]:
+            if self._limited and cpu_s(self._program.pid) - self._begun_s[0] > self._limits_s[0]:
                 return True
         except OSError:
             return False  # it ends
