@@ -1329,7 +1329,7 @@ MUTANTS: list[Mutant] = [
         (
             "program: passes are counted where others pass, too",
             "if self._passes[one] != self._passes[address]:",
-            "if self._passes[one] < self._passes[address]:",
+            "if self._passes[one] > self._passes[address]:",
         ),
     ),
     *_of(

@@ -76,3 +76,33 @@ def test_passes_of_all_threads_count(tmp_path: Path, options: tuple[str, ...]) -
         runs = [run for _, run in injector.run(points, fault, 1)]
     assert length.scope == 5000
     assert [int(run.injection.before, 16) for run in runs] == [hit_of(run) for run in runs]
+
+
+CROWDED = """
+#include <stdio.h>
+int main(void) {
+    unsigned long sum = 0, odd = 0;
+    for (unsigned long i = 1; i <= 2000; i++) {
+        __asm__ volatile("mov $3, %%ecx\\n.globl crowded\\ncrowded: mov %1, %%rax\\n"
+                         "1: dec %%rcx\\njnz 1b\\nadd %%rax, %0"
+                         : "+r"(sum) : "r"(i) : "rax", "rcx", "cc");
+        __asm__ volatile("test $1, %b2\\njnz joined\\nxor %%ecx, %%ecx\\nmov $0, %%ecx\\n"
+                         ".globl joined\\njoined: mov %2, %%rax\\n"
+                         "seto %%cl\\nadd %%rax, %0\\nadd %%rcx, %1"
+                         : "+r"(sum), "+r"(odd) : "r"(i) : "rax", "rcx", "cc");
+    }
+    printf("%lu %lu\\n", sum, odd);
+}
+"""
+
+
+@pytest.mark.parametrize("place", ["crowded", "joined"])
+def test_passes_are_counted_where_nobody_arrives_in_another_way(tmp_path: Path, place: str) -> None:
+    program = compiled(tmp_path, CROWDED, "crowded")
+    spec = spec_of([program], module="crowded", address=offset_of(program, place))
+    fault = FaultSpec(target="crowded", scope="thread", operand="source", register_class="gpr")
+    with injector_of(spec) as injector:
+        length, points = injector.draw(fault, 5, range(8))
+        runs = [run for _, run in injector.run(points, fault, 5)]
+    assert length.scope == 2000
+    assert [int(run.injection.before or "0", 16) for run in runs] == [hit_of(run) for run in runs]

@@ -26,6 +26,7 @@ def deviation(tmp_path: Path, run: str | bytes, golden: str) -> float | None:
         ("x = 1.5 m\n", "x = 1.5 m\n", 0.0),
         ("x = 1.0 m, -2e3\n", "x = 2.0 m, -2e3\n", 0.5),
         ("1 10", "1 8", 0.2),
+        ("2 10", "1.9 5", 0.5),
         ("0", "5", 1.0),
         ("-1", "1", 2.0),
         ("1 2 3", "1 2", None),

@@ -68,6 +68,22 @@ int main() {
 """
 
 
+FLAGS = """
+#include <stdio.h>
+int main(void) {
+    unsigned long seen = 0;
+    for (int at = 0; at < 4; at++) {
+        unsigned left = at & 1 ? 0x7fffffff : 0xffffffff, low = at & 2 ? 1 : 0x80000001;
+        unsigned overflow = 0, others = 0;
+        __asm__ volatile("add %3, %2\\njmp 1f\\n1: seto %b0\\nlahf\\nmovzbl %%ah, %1"
+                         : "+q"(overflow), "=r"(others), "+r"(left) : "r"(low) : "rax", "cc");
+        seen = seen * 1000 + overflow * 256 + others;
+    }
+    printf("%lu\\n", seen);
+}
+"""
+
+
 def stepped(spec: ProgramSpec) -> Counter[int]:
     """The passes of a run in single steps; a repeated instruction counts once."""
     with runs_of(spec) as runs, runs.launch() as program:
@@ -121,6 +137,11 @@ def test_threads_signals_and_children_run_as_without_us(tmp_path: Path, options:
     with injector_of(spec_of([compiled(tmp_path, BUSY, "busy", *options)])) as injector:
         profile = injector.counted()  # raises if the output is another one
     assert profile.counts.executed > 200 * 20_000
+
+
+def test_flags_outlive_the_beginning_of_a_block(tmp_path: Path) -> None:
+    with injector_of(spec_of([compiled(tmp_path, FLAGS, "flags")])) as injector:
+        assert injector.counted().counts.executed > 10_000  # raises if the output is another one
 
 
 def test_exceptions_find_their_way(tmp_path: Path) -> None:
