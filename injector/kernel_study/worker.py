@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import resource
 import sys
 
 from numba.core import event
@@ -42,32 +41,16 @@ def _answer(kernel: str, subject: Subject, pid: int, go: int) -> None:
     from injector.block_profile.counted_call import UncountableError  # noqa: PLC0415
     from injector.kernel_study.checkpoints import CheckpointError  # noqa: PLC0415
     from injector.kernel_study.remote_fork import RemoteForkError  # noqa: PLC0415
-    from injector.kernel_study.results import StudyAnswer, StudyTask  # noqa: PLC0415
+    from injector.kernel_study.results import StudyAnswer  # noqa: PLC0415
     from injector.kernel_study.study import subject_injector  # noqa: PLC0415
+    from injector.kernel_study.tasks import answer_tasks, say  # noqa: PLC0415
     from injector.tracing.ptrace import GoneError  # noqa: PLC0415
-
-    def say(answer: StudyAnswer) -> None:
-        sys.stdout.write(answer.model_dump_json(by_alias=True, exclude_none=True) + "\n")
-        sys.stdout.flush()
 
     try:
         with subject_injector(kernel, subject, pid, go) as injector:
-            for line in sys.stdin:
-                task = StudyTask.model_validate_json(line)
-                if task.draw:
-                    length, drawn = injector.draw(task.fault, task.seed, task.draw)
-                    say(StudyAnswer(length=length, drawn=tuple(drawn)))
-                for _, run in injector.run(task.leg, task.fault, task.seed):
-                    say(StudyAnswer(run=run))
-                say(StudyAnswer(cpu_s=_cpu_s()))
+            answer_tasks(injector)
     except (UncountableError, CheckpointError, RemoteForkError, GoneError) as error:
         say(StudyAnswer(problem=str(error)))
-
-
-def _cpu_s() -> float:
-    """Processor time that we and the copies that have ended used."""
-    both = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in both)
 
 
 if __name__ == "__main__":

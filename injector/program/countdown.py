@@ -1,6 +1,6 @@
 """Code in a running program that counts down the passes through an instruction and traps at the last one.
 
-A breakpoint of the processor costs some 10 us at each pass; this costs a few ns, so that a pass far into the
+A breakpoint of the processor costs some 5 us at each pass; this costs a few ns, so that a pass far into the
 run is reached at nearly the program's own speed. A jump takes the place of the first instructions, which lie
 elsewhere meanwhile; before the fault the program's code is as it was again.
 """

@@ -45,13 +45,9 @@ class CountedProgram:
 
         :raises UncountableError: if it does not run in translation, or not to its end in the time.
         """
-        main = self._program.main
-        assert main is not None  # noqa: S101 - it stands
         counts = BlockCounts((), np.empty(0, np.uint64), np.empty(0, np.int64), np.empty(0, np.int64))
-        self.translations.give_memory(main.tid)
         try:
-            ptrace.go_to(main.tid, self.translations.translated(ptrace.program_counter(main.tid)))
-            self._program.resume(main)
+            self._begin()
             while self._program.main is not None:
                 told = self._program.next_report(limit_s)
                 if told is None:
@@ -68,24 +64,25 @@ class CountedProgram:
 
         :raises UncountableError: if the program does not come there.
         """
-        main = self._program.main
-        assert main is not None  # noqa: S101 - it stands
-        self.translations.give_memory(main.tid)
         try:
-            ptrace.go_to(main.tid, self.translations.translated(ptrace.program_counter(main.tid)))
-            self._program.resume(main)
+            self._begin()
             while (told := self._program.next_report(limit_s)) and self._program.main is not None:
                 thread, report = told
-                if (
-                    report.kind == "signal"
-                    and ptrace.program_counter(thread.tid) == self.translations.stop_at
-                ):
+                if report.kind == "signal" and self._stands_at_stop(thread):
                     return self._in_own_code(thread)
                 with suppress(GoneError):
                     self._answer(thread, report)
         except (TranslationError, TranslationMemoryError) as error:
             raise UncountableError(str(error)) from error
         raise UncountableError("the program did not come to the drawn pass in translation")
+
+    def _begin(self) -> None:
+        """Have the program begin in translation."""
+        main = self._program.main
+        assert main is not None  # noqa: S101 - it stands
+        self.translations.give_memory(main.tid)
+        ptrace.go_to(main.tid, self.translations.translated(ptrace.program_counter(main.tid)))
+        self._program.resume(main)
 
     def _stands_at_stop(self, thread: Tracee) -> bool:
         return ptrace.program_counter(thread.tid) == self.translations.stop_at
