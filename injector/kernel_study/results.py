@@ -20,13 +20,14 @@ class SamplePoint(Strict):
     """The ``index``-th drawn instruction: the ``hit``-th pass through an address.
 
     In a program's run passes are counted where the instruction at ``counted_at`` is, a few before; 0: at the
-    address itself, by a breakpoint.
+    address itself, by a breakpoint. The jump there leads by way of unused bytes at ``by_way_of``, unless 0.
     """
 
     index: int
     address: int
     hit: int
     counted_at: int = 0
+    by_way_of: int = 0
 
     @property
     def at(self) -> Pass:

@@ -101,7 +101,8 @@ class ProgramApproach:
 
     def _count_down(self, thread: Tracee, memory: TranslationMemory) -> Tracee:
         """From the first pass through where they are counted to the drawn one."""
-        countdown = Countdown(self._program.process, memory, self._point.counted_at, self._point.hit)
+        point = self._point
+        countdown = Countdown(self._program.process, memory, point.counted_at, point.hit, point.by_way_of)
         self._countdown = countdown
         self._program.resume(thread)
         while True:

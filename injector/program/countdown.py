@@ -3,12 +3,15 @@
 A breakpoint of the processor costs some 5 us at each pass; this costs a few ns, so that a pass far into the
 run is reached at nearly the program's own speed. A jump takes the place of the first instructions, which lie
 elsewhere meanwhile; before the fault the program's code is as it was again.
+
+Where the program arrives within the five bytes of such a jump, a short one of two leads to bytes nearby that
+the run does not execute, and there is the other.
 """
 
 from __future__ import annotations
 
 import struct
-from collections.abc import Container
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 
 import iced_x86
@@ -26,8 +29,14 @@ from injector.block_profile.x86_64_translator import (
 )
 from injector.tracing.process import Process
 
-_WORD = struct.Struct("<q")
-_JUMP_BYTES = len(jump(0, 0))
+JUMP_BYTES = len(jump(0, 0))
+"""Bytes of a jump to anywhere within 2 GB."""
+
+SHORT_JUMP_BYTES = 2
+"""Bytes of a jump to what is less than 128 bytes away."""
+
+_WORD, _NEAR = struct.Struct("<q"), struct.Struct("<b")
+_SHORT = b"\xeb"
 _LOCK, _DECREMENT, _IF_LEFT = b"\xf0", b"\x48\xff\x0d", b"\x75"  # lock; dec qword [rip+d]; jnz
 _KEEP = b"\x48\x8d\x64\x24\x80\x50\x9f\x0f\x90\xc0"  # lea rsp,[rsp-128]; push rax; lahf; seto al
 _BACK = b"\x04\x7f\x9e\x58\x48\x8d\xa4\x24\x80\x00\x00\x00"  # add al,127; sahf; pop rax; lea rsp,[rsp+128]
@@ -48,11 +57,10 @@ class Displaced:
 
     instructions: tuple[iced_x86.Instruction, ...]
     offsets: tuple[int, ...]
-    size: int
     flags_are_free: bool
 
 
-def displaced(code: bytes, address: int, arrivals: Container[int]) -> Displaced | None:
+def displaced(code: bytes, address: int, arrivals: Container[int], jump_bytes: int) -> Displaced | None:
     """What a jump at an address would take the place of; None if it cannot be put there.
 
     ``arrivals`` are the addresses at which the program arrives otherwise than from the instruction before.
@@ -61,52 +69,75 @@ def displaced(code: bytes, address: int, arrivals: Container[int]) -> Displaced 
         block, offsets = block_of(code, address, ())
     except TranslationError:
         return None
-    size = 0
-    for number, one in enumerate(block):
-        if one.flow_control not in _MOVABLE or one.is_jmp_far:
-            return None
-        size += one.len
-        if size >= _JUMP_BYTES:
-            if any(address + at in arrivals for at in range(1, size)):
-                return None
-            kept = tuple(block[: number + 1])
-            return Displaced(kept, tuple(offsets[: number + 1]), size, flags_are_free_in(block))
-    return None
+    kept = tuple(one for one in block if one.ip < address + jump_bytes)
+    end = max(kept[-1].next_ip, address + jump_bytes)
+    if any(one.flow_control not in _MOVABLE or one.is_jmp_far for one in kept):
+        return None
+    if any(at in arrivals for at in range(address + 1, end)):
+        return None
+    return Displaced(kept, tuple(offsets[: len(kept)]), flags_are_free_in(block))
 
 
 class Countdown:
     """Traps the program at a pass through an address; to be closed when it has, or before a fault."""
 
-    def __init__(self, process: Process, memory: TranslationMemory, address: int, passes: int) -> None:
+    def __init__(
+        self, process: Process, memory: TranslationMemory, address: int, passes: int, by_way_of: int = 0
+    ) -> None:
         """Put the code into ``memory``: the ``passes``-th pass from now on is trapped before the instruction.
+
+        The jump leads there by way of bytes nearby, if their address is given.
 
         :raises TranslationError: if it cannot be put there.
         """
         self._process, self.address = process, address
         code = process.read_memory(address, min(MOST_BYTES, _room(process, address)))
-        taken = displaced(code, address, ())
+        taken = displaced(code, address, (), SHORT_JUMP_BYTES if by_way_of else JUMP_BYTES)
         if taken is None:
             message = f"no jump can be put at {address:#x}"
             raise TranslationError(message)
-        self._true = code[: taken.size]
         word = memory.words(1)
         process.write_memory(word, _WORD.pack(passes))
         written, self.trapped_at = _countdown(memory.here, word, code, taken)
         process.write_memory(memory.here, written)
-        self._jump = jump(address, memory.here) + self._true[_JUMP_BYTES:]
+        self._jumps = [(by_way_of or address, jump(by_way_of or address, memory.here))]
+        if by_way_of:
+            self._jumps.append((address, short_jump(address, by_way_of)))
+        self._true = [(at, process.read_memory(at, len(written))) for at, written in self._jumps[::-1]]
         self.put()
 
     def put(self) -> None:
         """Put the jump in its place, from which on passes are counted."""
-        self._process.write_memory(self.address, self._jump)
+        for at, written in self._jumps:
+            self._process.write_memory(at, written)
 
     def close(self, process: Process | None = None) -> None:
         """Have the program's own code again, or that of a process that it has forked."""
-        (process or self._process).write_memory(self.address, self._true)
+        for at, true in self._true:
+            (process or self._process).write_memory(at, true)
 
     def is_there(self) -> bool:
         """Whether the jump is in its place."""
-        return self._process.read_memory(self.address, len(self._jump)) == self._jump
+        return all(self._process.read_memory(at, len(written)) == written for at, written in self._jumps)
+
+
+def short_jump(at: int, target: int) -> bytes:
+    """A jump of two bytes to a target that is less than 128 bytes away."""
+    return _SHORT + _NEAR.pack(target - at - SHORT_JUMP_BYTES)
+
+
+def bytes_nearby(at: int, is_free: Callable[[int], bool]) -> int:
+    """Where, so near that a short jump at an address reaches it, a jump to anywhere fits in; 0 if nowhere.
+
+    ``is_free`` tells of each byte whether it may be written.
+    """
+    after = at + SHORT_JUMP_BYTES
+    free = 0
+    for one in range(after - 128, after + 128 + JUMP_BYTES - 1):
+        free = free + 1 if is_free(one) else 0
+        if free == JUMP_BYTES:
+            return one + 1 - JUMP_BYTES
+    return 0
 
 
 def _room(process: Process, address: int) -> int:

@@ -14,7 +14,7 @@ from injector.faults.eligibility import is_eligible
 from injector.isa.host import decode
 from injector.isa.instruction import DecodeError
 from injector.kernel_study.results import SamplePoint
-from injector.program.countdown import displaced
+from injector.program.countdown import JUMP_BYTES, SHORT_JUMP_BYTES, bytes_nearby, displaced
 from injector.program.counted_program import CountedProgram
 from injector.program.spec import ProgramSpec
 from injector.tracing.elf import CodeLocations
@@ -39,6 +39,8 @@ class ProgramProfile:
         :raises ScopeError: if it executed nothing of the specified code.
         """
         self._blocks, self._code = blocks, counted.translations.sources
+        self._maps = counted.maps
+        self._counted: dict[int, tuple[int, int]] = {}
         self._several_threads = counted.translations.threads > 1
         self.places = CodeLocations(pid, counted.maps)
         self.counts = InstructionCounts.of(blocks, order=self.places.named)
@@ -62,8 +64,8 @@ class ProgramProfile:
         if drawn is None:
             return None
         by_breakpoint = drawn.hit <= FEW_PASSES and not self._several_threads
-        at = 0 if by_breakpoint else self._counted_at(drawn.address)
-        return SamplePoint(index=index, address=drawn.address, hit=drawn.hit, counted_at=at)
+        at, way = (0, 0) if by_breakpoint else self._counted_at(drawn.address)
+        return SamplePoint(index=index, address=drawn.address, hit=drawn.hit, counted_at=at, by_way_of=way)
 
     def _is_eligible(self, fault: FaultSpec, address: int) -> bool:
         try:
@@ -79,22 +81,54 @@ class ProgramProfile:
     def _arrivals(self) -> frozenset[int]:
         return frozenset(one[0] for one in self._blocks.instructions)
 
-    def _counted_at(self, address: int) -> int:
+    @cached_property
+    def _executed(self) -> frozenset[int]:
+        """The addresses of all bytes of instructions that were executed."""
+        lasts = [block[-1] for block in self._blocks.instructions]
+        ends = (one + len(decode(self._code_at(one)[:15], one).code) for one in lasts)
+        blocks = zip(self._blocks.instructions, ends, strict=True)
+        return frozenset(at for block, end in blocks for at in range(block[0], end))
+
+    def _counted_at(self, address: int) -> tuple[int, int]:
         """Where passes through an address can be counted: a few instructions before, or there; 0 if nowhere.
 
-        Straight code leads from there to the address, and nobody comes to the address in another way.
+        Straight code leads from there to the address, and nobody comes to the address in another way. The
+        second is by way of which bytes the jump there leads, 0 if straight.
         """
-        found: list[tuple[bool, int, int]] = []
+        if address not in self._counted:
+            straight = self._jumps(address, JUMP_BYTES, lambda _: 0)
+            around = straight or [
+                one for one in self._jumps(address, SHORT_JUMP_BYTES, self._unused_bytes) if one[-1]
+            ]
+            self._counted[address] = min(around)[-2:] if around else (0, 0)
+        return self._counted[address]
+
+    def _jumps(
+        self, address: int, size: int, way_of: Callable[[int], int]
+    ) -> list[tuple[bool, int, int, int]]:
+        """Jumps that can be put where an address is passed: by rank, where, and by way of which bytes."""
+        found = []
         for number in self._holding[address]:
             instructions = self._blocks.instructions[number]
             before = instructions[: instructions.index(address) + 1]
             for distance, one in enumerate(reversed(before)):
                 if self._passes[one] != self._passes[address]:
                     break
-                taken = displaced(self._code_at(one), one, self._arrivals)
+                taken = displaced(self._code_at(one), one, self._arrivals, size)
                 if taken is not None:
-                    found.append((not taken.flags_are_free, distance, one))
-        return min(found)[2] if found else 0
+                    found.append((not taken.flags_are_free, distance, one, way_of(one)))
+        return found
+
+    def _unused_bytes(self, address: int) -> int:
+        """Where near an address a jump can lie, in code that the run does not execute; 0 if nowhere.
+
+        Of several threads another run may execute other code.
+        """
+        piece = self._maps.at(address)
+        if piece is None or self._several_threads:
+            return 0
+        start, end = piece.start, piece.end
+        return bytes_nearby(address, lambda at: start <= at < end and at not in self._executed)
 
 
 def _scope(

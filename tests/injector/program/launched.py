@@ -27,11 +27,14 @@ int main(int count, char **given) {
         __asm__ volatile(".globl probe\\nprobe: mov %1, %%rax\\nadd %%rax, %0"
                          : "+r"(sum) : "r"(i) : "rax", "cc");
     __asm__ volatile(".globl tight\\ntight: loop tight" : "+c"(left));
+    left = n + 1;
+    __asm__ volatile("push %0\\njmp 1f\\n.globl narrow\\nnarrow: push %0\\n"
+                     "1: pop %%rax\\ndec %0\\njnz narrow" : "+c"(left) :: "rax", "cc");
     printf("%lu %lu\\n", sum, left);
 }
 """
-"""At ``probe`` a register that is read holds the number of the pass; at ``tight`` rcx counts down, and no
-jump fits in."""
+"""At ``probe`` a register that is read holds the number of the pass; at ``tight`` and ``narrow`` rcx counts
+down. Only a short jump fits in at ``tight``, none at ``narrow``."""
 
 
 def compiled(folder: Path, source: str, name: str, *options: str) -> Path:

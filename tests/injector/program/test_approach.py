@@ -1,5 +1,6 @@
-"""The drawn pass is reached by each of three ways, and by no other pass."""
+"""The drawn pass is reached by each of four ways, and by no other pass."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -10,11 +11,15 @@ from injector.program.profile import FEW_PASSES
 from services.models.faults.specification import FaultSpec
 from tests.injector.program.launched import COUNTS, compiled, injector_of, offset_of, spec_of
 
+READ = {"operand": "source", "register_class": "gpr"}
 
-def struck(tmp_path: Path, place: str, passes: int, draws: int) -> list[StudyRun]:
+
+def struck(
+    tmp_path: Path, place: str, passes: int, draws: int, fields: Mapping[str, object] = READ
+) -> list[StudyRun]:
     program = compiled(tmp_path, COUNTS, "counts")
     spec = spec_of([program, str(passes)], module="counts", address=offset_of(program, place))
-    fault = FaultSpec(target="counts", scope="thread", operand="source", register_class="gpr")
+    fault = FaultSpec.model_validate({"target": "counts", "scope": "thread", **fields})
     with injector_of(spec) as injector:
         length, points = injector.draw(fault, 5, range(draws))
         assert length.scope == passes
@@ -43,8 +48,15 @@ def test_a_late_pass_is_counted_in_the_program(tmp_path: Path) -> None:
 
 def test_where_no_jump_fits_in_the_program_runs_in_translation(tmp_path: Path) -> None:
     passes = 50 * MOST_BY_BREAKPOINT
-    runs = struck(tmp_path, "tight", passes, 3)
+    runs = struck(tmp_path, "narrow", passes, 3, {"registers": ("rcx",)})
     assert [run.point and run.point.counted_at for run in runs] == [0, 0, 0]
+    assert [int(run.injection.before, 16) for run in runs] == [passes - hit_of(run) + 1 for run in runs]
+
+
+def test_a_short_jump_leads_by_way_of_bytes_that_are_not_executed(tmp_path: Path) -> None:
+    passes = 50 * MOST_BY_BREAKPOINT
+    runs = struck(tmp_path, "tight", passes, 3)
+    assert all(run.point and run.point.by_way_of for run in runs)
     assert [int(run.injection.before, 16) for run in runs] == [passes - hit_of(run) + 1 for run in runs]
 
 
@@ -86,6 +98,10 @@ int main(void) {
         __asm__ volatile("mov $3, %%ecx\\n.globl crowded\\ncrowded: mov %1, %%rax\\n"
                          "1: dec %%rcx\\njnz 1b\\nadd %%rax, %0"
                          : "+r"(sum) : "r"(i) : "rax", "rcx", "cc");
+        __asm__ volatile(".fill 130,1,0x90\\nmov $3, %%ecx\\njmp 3f\\n3:\\n"
+                         ".globl walled\\nwalled: mov %1, %%rax\\n"
+                         "1: dec %%rcx\\njnz 1b\\nadd %%rax, %0\\n.fill 130,1,0x90"
+                         : "+r"(sum) : "r"(i) : "rax", "rcx", "cc");
         __asm__ volatile("test $1, %b2\\njnz joined\\nxor %%ecx, %%ecx\\nmov $0, %%ecx\\n"
                          ".globl joined\\njoined: mov %2, %%rax\\n"
                          "seto %%cl\\nadd %%rax, %0\\nadd %%rcx, %1"
@@ -96,7 +112,7 @@ int main(void) {
 """
 
 
-@pytest.mark.parametrize("place", ["crowded", "joined"])
+@pytest.mark.parametrize("place", ["crowded", "joined", "walled"])
 def test_passes_are_counted_where_nobody_arrives_in_another_way(tmp_path: Path, place: str) -> None:
     program = compiled(tmp_path, CROWDED, "crowded")
     spec = spec_of([program], module="crowded", address=offset_of(program, place))
