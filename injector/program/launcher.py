@@ -1,4 +1,4 @@
-"""Process that launches programs: each in a pid namespace of its own, stopped until the injector traces it.
+"""Process that launches programs: in a pid namespace of its own, stopped until the injector traces it.
 
 It reads orders from standard input and writes answers to standard output, in lines of JSON; after the answer
 with the program's pid it waits for one more byte before the program begins. A program finds the same memory
@@ -10,6 +10,7 @@ Of Python and ours it has no more than it needs, so that forking takes half a mi
 from __future__ import annotations
 
 import ctypes
+import gc
 import json
 import os
 import resource
@@ -17,6 +18,7 @@ import signal
 import struct
 import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, NoReturn
 
 from injector.reproducible import pid_namespace
@@ -41,24 +43,27 @@ def main() -> None:
     turn_address_randomisation_off()
     _set_limit(resource.RLIMIT_STACK, STACK_BYTES)
     _set_limit(resource.RLIMIT_CORE, 0)
-    home = pid_namespace.begin()
+    _have_default_signals()
+    own_pids = pid_namespace.begin() != pid_namespace.NOWHERE and _next_pid_is_2()
     libc.prctl(_PR_SET_CHILD_SUBREAPER, 1)
+    _tell_of_getrandom()
+    gc.freeze()
     orders = sys.stdin.buffer
     while line := orders.readline():
-        order = json.loads(line)
-        if home != pid_namespace.NOWHERE:
-            checked(libc.unshare(pid_namespace.NEWPID))
-        first = os.fork()
-        if not first:
-            die_with_parent()
-            _launch(order, own_pids=home != pid_namespace.NOWHERE)
-        if home != pid_namespace.NOWHERE:
-            checked(libc.setns(home, pid_namespace.NEWPID))
-        os.waitpid(first, 0)
-        with suppress(ChildProcessError):  # what it left behind; in a namespace nothing is
-            while True:
-                os.waitpid(-1, 0)
+        _launch(json.loads(line), own_pids=own_pids)
     os._exit(os.EX_OK)
+
+
+def _next_pid_is_2() -> bool:
+    """Have the next process here get pid 2, those after it the numbers that follow; whether that is allowed.
+
+    By CAP_SYS_ADMIN in the namespace (pid_namespaces(7)), which whoever made it has.
+    """
+    try:
+        Path("/proc/sys/kernel/ns_last_pid").write_text("1")
+    except OSError:
+        return False
+    return os.getpid() == 1
 
 
 def _set_limit(which: int, wanted: int) -> None:
@@ -66,23 +71,34 @@ def _set_limit(which: int, wanted: int) -> None:
     resource.setrlimit(which, (wanted if most == resource.RLIM_INFINITY else min(wanted, most), most))
 
 
-def _launch(order: dict[str, Any], *, own_pids: bool) -> NoReturn:
-    """Fork the program, tell of it and of its end, and end; all that it has started ends then."""
+def _launch(order: dict[str, Any], *, own_pids: bool) -> None:
+    """Fork the program, tell of it and of its end; all that it has started has ended then."""
+    if own_pids:
+        _next_pid_is_2()
     reads, writes = os.pipe()
     failed, failure = os.pipe()
     pid = os.fork()
     if not pid:
+        die_with_parent()
         os.close(writes)
         _become(order, reads, failure)
     os.close(failure)
+    os.close(reads)
     _tell({"pid": listed_pid(pid), "own_pids": own_pids})
     os.read(sys.stdin.fileno(), 1)
     os.write(writes, b"x")
+    os.close(writes)
     problem = os.read(failed, 256).decode()
+    os.close(failed)
     _, status, usage = os.wait4(pid, 0)
+    if own_pids:
+        with suppress(ProcessLookupError):
+            os.kill(-1, signal.SIGKILL)  # all in the namespace but us
     cpu_s = usage.ru_utime + usage.ru_stime
     _tell({"status": os.waitstatus_to_exitcode(status), "cpu_s": cpu_s, "problem": problem})
-    os._exit(os.EX_OK)
+    with suppress(ChildProcessError):  # where we have no namespace, the tracer kills them
+        while True:
+            os.waitpid(-1, 0)
 
 
 def _tell(answer: dict[str, Any]) -> None:
@@ -97,24 +113,31 @@ def _become(order: dict[str, Any], go: int, failure: int) -> NoReturn:
         if order["processors"]:
             os.sched_setaffinity(0, order["processors"])
         _set_limit(resource.RLIMIT_FSIZE, order["largest_file"])
-        os.read(go, 1)
+        if not os.read(go, 1):
+            os._exit(126)
         for descriptor, (path, flags) in enumerate(order["streams"]):
             opened = os.open(path, flags, 0o600)
             os.dup2(opened, descriptor)
             os.close(opened)
-        for number in range(1, signal.NSIG):
-            with suppress(OSError, ValueError):
-                signal.signal(number, signal.SIG_DFL)
-        signal.pthread_sigmask(signal.SIG_SETMASK, ())
-        _tell_of_getrandom()
         os.execve(order["executable"], order["arguments"], order["environment"])  # noqa: S606 - no shell
     except BaseException as error:  # noqa: BLE001 - this process has nobody else to tell
         os.write(failure, str(error).encode()[:256])
     os._exit(126)  # as a shell says that it could not execute it
 
 
+def _have_default_signals() -> None:
+    """Have no signals blocked, ignored or handled, as programs that are started from here find it, too."""
+    for number in range(1, signal.NSIG):
+        with suppress(OSError, ValueError):
+            signal.signal(number, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_SETMASK, ())
+
+
 def _tell_of_getrandom() -> None:
-    """Have the tracer told of each call of getrandom(2), and of nothing else: the rest runs at full speed."""
+    """Have who traces what we start told of each call of getrandom(2): the rest runs at full speed.
+
+    Without a tracer the call fails; this process makes none.
+    """
     program = b"".join(
         _INSTRUCTION.pack(*one)
         for one in (
