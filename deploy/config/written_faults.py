@@ -10,7 +10,7 @@ from services.models.faults.specification import FaultSpec
 
 FAULT_FORM = "LEVEL:TARGET[,NAME=VALUE...]"
 DETECTOR_FORM = "SCHEME[,NAME=VALUE...]"
-_LISTS = ("bit_numbers", "opcodes", "where_set", "where_clear")
+_LISTS = ("bit_numbers", "registers", "opcodes", "where_set", "where_clear")
 _ELSEWHERE = {
     "seed": "--fault-seed (fault_seed in Python)",
     "level": f"the form {FAULT_FORM}",

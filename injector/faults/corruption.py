@@ -76,7 +76,7 @@ class RegisterChange:
             InjectionResult(
                 "injected",
                 instruction=at.instruction,
-                operand=candidate.role,
+                operand=candidate.role if self._fault.registers is None else "",
                 register=candidate.register,
                 width_bits=candidate.width_bits,
                 element_bits=candidate.element_bits,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from injector.isa.host import named
 from injector.isa.instruction import Candidate, Instruction, MemoryAccess
 from services.models.faults.arithmetic import groups
 from services.models.faults.specification import FaultSpec
@@ -16,9 +17,15 @@ def eligible_registers(fault: FaultSpec, instruction: Instruction) -> list[tuple
     """The registers of an instruction that the fault may change, each with the bits to draw from."""
     return [
         (one, among)
-        for one in instruction.eligible(fault.operand, fault.register_class)
+        for one in _registers(fault, instruction)
         if (among := groups(fault, one.width_bits, one.element_bits, one.accessed))
     ]
+
+
+def _registers(fault: FaultSpec, instruction: Instruction) -> list[Candidate]:
+    if fault.registers is None:
+        return instruction.eligible(fault.operand, fault.register_class)
+    return [one for one in map(named, fault.registers) if one is not None]
 
 
 def eligible_memory(fault: FaultSpec, instruction: Instruction) -> list[tuple[MemoryAccess, Bits]]:

@@ -1,4 +1,4 @@
-"""The registers of an AArch64 thread: x0-x30 and sp, status flags, and v0-v31 with their parts.
+"""The registers of an AArch64 thread: x0-x30, sp and pc, status flags, and v0-v31 with their parts.
 
 Tested on register images only; it has not run on such a machine yet.
 Source: Linux arch/arm64/include/uapi/asm/ptrace.h (struct user_pt_regs, struct user_fpsimd_state).
@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from injector.isa.instruction import RegisterClass
+from injector.isa.instruction import Candidate, RegisterClass
 from injector.isa.registers import Registers, UnknownRegisterError
 from injector.tracing.ptrace import NT_PRSTATUS, PtraceError, read_registers, write_registers
 
@@ -43,6 +43,7 @@ def _fields() -> dict[str, RegisterField]:
     }
     for number in range(31):
         fields[f"w{number}"] = RegisterField(vector=False, offset=8 * number, width=32)
+    fields["pc"] = RegisterField(vector=False, offset=_PC_AT, width=64)
     fields["wsp"] = RegisterField(vector=False, offset=8 * _STACK, width=32)
     fields["nzcv"] = RegisterField(vector=False, offset=_PSTATE_AT, width=4, shift=STATUS_FLAGS[0])
     for letter, width in _WIDTHS.items():
@@ -53,6 +54,16 @@ def _fields() -> dict[str, RegisterField]:
 
 FIELDS = _fields()
 """Every register and part by name."""
+
+
+def named(name: str) -> Candidate | None:
+    """A register by its name, as something to strike; None if there is none."""
+    field = FIELDS.get(name)
+    if field is None:
+        return None
+    if name == "nzcv":
+        return Candidate(name, "source", 64, "flags", accessed=STATUS_FLAGS)
+    return Candidate(name, "source", field.width, "vector" if field.vector else "gpr")
 
 
 class AArch64Registers(Registers):

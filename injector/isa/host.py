@@ -9,8 +9,9 @@ from difflib import get_close_matches
 from functools import lru_cache
 
 from injector.isa import aarch64_decoder, aarch64_registers, x86_64_decoder, x86_64_registers
-from injector.isa.instruction import Instruction, RegisterClass
+from injector.isa.instruction import Candidate, Instruction, RegisterClass
 from injector.isa.registers import Registers
+from services.models.faults.arithmetic import groups
 from services.models.faults.specification import FaultSpec
 
 
@@ -19,12 +20,14 @@ class Architecture:
     """What the injector needs to know of one.
 
     ``registers`` are those of a standing thread by its tid, ``decode`` takes bytes and their address,
-    ``classes`` are the classes of registers of this very processor, ``flags`` the bits of status flags,
+    ``named`` finds a register to strike by its name, None if there is none; ``classes`` are the classes of
+    registers of this very processor, ``flags`` the bits of status flags,
     ``mnemonics`` those of instructions among which a fault may recur: none if it cannot.
     """
 
     registers: Callable[[int], Registers]
     decode: Callable[[bytes, int], Instruction]
+    named: Callable[[str], Candidate | None]
     classes: Callable[[], frozenset[RegisterClass]]
     flags: tuple[int, ...]
     mnemonics: frozenset[str]
@@ -34,6 +37,7 @@ _ARCHITECTURES = {
     "x86_64": Architecture(
         x86_64_registers.X8664Registers,
         x86_64_decoder.decode,
+        x86_64_registers.named,
         x86_64_registers.register_classes,
         x86_64_registers.STATUS_FLAGS,
         x86_64_decoder.MNEMONICS,
@@ -41,6 +45,7 @@ _ARCHITECTURES = {
     "aarch64": Architecture(
         aarch64_registers.AArch64Registers,
         aarch64_decoder.decode,
+        aarch64_registers.named,
         lambda: aarch64_registers.REGISTER_CLASSES,
         aarch64_registers.STATUS_FLAGS,
         frozenset(),
@@ -50,6 +55,9 @@ HOST = _ARCHITECTURES.get(platform.machine(), _ARCHITECTURES["x86_64"])
 
 decode = lru_cache(4096)(HOST.decode)
 """Decoding on this machine; what is stepped through repeats."""
+
+named = lru_cache(256)(HOST.named)
+"""A register of this machine by its name, as something to strike; None if there is none."""
 
 
 class AbsentError(ValueError):
@@ -62,6 +70,7 @@ def require(fault: FaultSpec, host: Architecture = HOST) -> None:
     :raises AbsentError: naming what is absent.
     """
     _require_opcodes(fault, host)
+    _require_registers(fault, host)
     wanted = fault.register_class
     present = host.classes()
     if wanted != "any" and wanted not in present:
@@ -77,6 +86,17 @@ def require(fault: FaultSpec, host: Architecture = HOST) -> None:
         given = "bit_numbers" if fault.histogram is None else "histogram"
         message = f"{given}: bit {min(unknown)} is no status flag on this CPU: choose of {flags}"
         raise AbsentError(message)
+
+
+def _require_registers(fault: FaultSpec, host: Architecture) -> None:
+    for name in fault.registers or ():
+        register = host.named(name)
+        if register is None:
+            message = f"registers: there is no {name!r} on this CPU; expected names like those in disassembly"
+            raise AbsentError(message)
+        if not groups(fault, register.width_bits, 0, register.accessed):
+            message = f"registers: {name} has not the bits that are asked for"
+            raise AbsentError(message)
 
 
 def _require_opcodes(fault: FaultSpec, host: Architecture) -> None:

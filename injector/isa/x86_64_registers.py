@@ -9,7 +9,7 @@ import struct
 from dataclasses import dataclass
 
 from injector.isa import x86_64_xstate
-from injector.isa.instruction import RegisterClass
+from injector.isa.instruction import Candidate, RegisterClass
 from injector.isa.registers import Registers, UnknownRegisterError
 from injector.tracing.ptrace import NT_PRSTATUS, NT_X86_XSTATE, PtraceError, read_registers, write_registers
 
@@ -86,6 +86,27 @@ def register_classes(enabled: int | None = None) -> frozenset[RegisterClass]:
     components = x86_64_xstate.enabled() if enabled is None else enabled
     classes: set[RegisterClass] = {"gpr", "vector", "flags"}
     return frozenset(classes | {"mask"} if components >> x86_64_xstate.OPMASK & 1 else classes)
+
+
+def named(name: str, enabled: int | None = None) -> Candidate | None:
+    """A register by its name, as something to strike; None if there is none here.
+
+    ``enabled`` are state components of the processor, by default of this one.
+    """
+    if name in GENERAL or name == "rip":
+        return Candidate(name, "source", GENERAL[name].width if name in GENERAL else 64, "gpr")
+    if name == "rflags":
+        return Candidate(name, "source", 64, "flags", accessed=STATUS_FLAGS)
+    if name not in VECTOR and name not in MASK:
+        return None
+    components = x86_64_xstate.enabled() if enabled is None else enabled
+    pieces = x86_64_xstate.pieces(*VECTOR[name]) if name in VECTOR else [x86_64_xstate.mask_piece(MASK[name])]
+    if not all(components >> piece.component & 1 for piece in pieces):
+        return None
+    is_vector = name in VECTOR
+    return Candidate(
+        name, "source", 8 * VECTOR[name][1] if is_vector else 64, "vector" if is_vector else "mask"
+    )
 
 
 def entering(general: bytearray, instruction: int, number: int, *arguments: int) -> bytearray:

@@ -1319,8 +1319,8 @@ MUTANTS: list[Mutant] = [
         "tests/injector/program/test_approach.py",
         (
             "program: the countdown ends a pass early",
-            "self._program.process, memory, self._point.counted_at, self._point.hit)",
-            "self._program.process, memory, self._point.counted_at, self._point.hit - 1)",
+            "memory, point.counted_at, point.hit, point.by_way_of",
+            "memory, point.counted_at, point.hit - 1, point.by_way_of",
         ),
     ),
     *_of(
@@ -1333,12 +1333,30 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "injector/program/profile.py",
+        "tests/injector/program/test_approach.py",
+        (
+            "program: a jump lies in code that the run executes",
+            "start <= at < end and at not in self._executed",
+            "start <= at < end",
+        ),
+    ),
+    *_of(
+        "injector/faults/eligibility.py",
+        "tests/injector/program/test_flips.py",
+        (
+            "program: other registers are struck than those that are named",
+            "for one in map(named, fault.registers) if one is not None",
+            "for one in map(named, fault.registers[:1] and ['rax']) if one is not None",
+        ),
+    ),
+    *_of(
         "injector/program/countdown.py",
         "tests/injector/program/test_approach.py",
         (
             "program: a jump is put where others arrive",
-            "if any(address + at in arrivals for at in range(1, size)):",
-            "if any(address + at in arrivals for at in range(1, 1)):",
+            "if any(at in arrivals for at in range(address + 1, end)):",
+            "if any(at in arrivals for at in range(address + 1, address + 1)):",
         ),
     ),
     *_of(

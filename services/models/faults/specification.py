@@ -53,6 +53,8 @@ class FaultSpec(Strict):
     or 32-bit word alike; or as a ``histogram`` says. Where a specification is written, the name of a mask
     that another package adds stands for its histogram.
 
+    Struck is a register that the instruction reads or writes; or, before it, one of ``registers``, all alike.
+
     Models: ``bitflip`` inverts bits of a register; ``stuck_at`` holds them at ``stuck_value`` for
     ``stuck_instructions``; ``opcode`` inverts bits of the instruction for one execution; ``memory``
     inverts bits of the word that the instruction reads or writes; ``none`` does everything but the flip.
@@ -64,6 +66,10 @@ class FaultSpec(Strict):
     model: FaultModel = "bitflip"
     operand: Literal["source", "destination", "any"] = "any"
     register_class: Literal["gpr", "vector", "flags", "mask", "any"] = "any"
+    registers: tuple[str, ...] | None = Field(
+        default=None,
+        description="one of these, whether or not the instruction uses it: rax, xmm0, rflags, rip",
+    )
     bits: int = Field(default=1, ge=1, le=64, description="how many distinct bits are drawn")
     field: Literal["any", "sign", "exponent", "mantissa"] = Field(
         default="any", description="of one number of a floating-point operand"
@@ -133,6 +139,7 @@ class FaultSpec(Strict):
             yield f"model {self.model} strikes no register: leave out register_class"
         if self.model == "opcode" and (self.operand, self.field) != ("any", "any"):
             yield "model opcode strikes no operand: leave out operand and field"
+        yield from self._register_problems()
         if self.field != "any":
             yield from self._field_problems()
         if self.bit_numbers is not None:
@@ -250,6 +257,17 @@ class FaultSpec(Strict):
             yield f"field and {both}"
         if self.mask == "word" and self.model == "opcode":
             yield "model opcode: an instruction has bytes, no words: choose mask byte"
+
+    def _register_problems(self) -> Iterator[str]:
+        names = self.registers
+        if names is None:
+            return
+        if not names or len(set(names)) < len(names) or not all(names):
+            yield f"registers: expected distinct names, like rax or rip, got {list(names)}"
+        if self.level != "instruction" or self.recurs or self.model in ("opcode", "memory"):
+            yield "registers goes with level instruction, recurrence once and a model that strikes registers"
+        if (self.operand, self.register_class, self.field) != ("any", "any", "any"):
+            yield "registers says which, used or not: leave out operand, register_class and field"
 
     def _field_problems(self) -> Iterator[str]:
         if self.register_class not in ("vector", "any"):

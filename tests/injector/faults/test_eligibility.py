@@ -38,6 +38,8 @@ CODES = {
         ({"bit_numbers": [40, 41]}, set(CODES) - {"jne", "nop", "syscall", "kmovw k1,eax"}),
         ({"bit_numbers": [100]}, {"movaps xmm0,xmm1"}),
         ({"model": "opcode", "bits": 17}, set(CODES) - {"syscall", "jne", "nop"}),
+        ({"registers": ["rip"]}, set(CODES) - {"syscall"}),
+        ({"registers": ["al"], "bits": 9}, set()),
         ({"mask": "byte"}, set(CODES) - {"nop", "syscall"}),
         ({"mask": "word", "model": "memory"}, {"mov rax,[rbx]", "mov [rbx],rax"}),
         ({"mask": "uniform", "field": "exponent"}, {"mulsd xmm0,xmm1"}),
