@@ -23,14 +23,13 @@ from services.system.json_lines import LineReader, line_of
 class WorkerCommand:
     """How a worker of a study is started; ``first`` is the first line that it reads.
 
-    ``name`` is that of the kernel or program that it strikes. One that is ``pinned`` has one processor.
+    ``name`` is that of the kernel or program that it strikes.
     """
 
     name: str
     command: Sequence[str]
     environment: Mapping[str, str] | None = None
     first: bytes = b""
-    pinned: bool = True
 
 
 def kernel_worker(kernel: str) -> WorkerCommand:
@@ -46,7 +45,7 @@ def kernel_worker(kernel: str) -> WorkerCommand:
 def program_worker(order: ProgramOrder) -> WorkerCommand:
     """The worker that strikes a program."""
     command = [sys.executable, "-P", "-m", "injector.program.worker"]
-    return WorkerCommand(order.program.name, command, None, line_of(order), pinned=False)
+    return WorkerCommand(order.program.name, command, None, line_of(order))
 
 
 class StudyWorker:
@@ -54,8 +53,7 @@ class StudyWorker:
 
     def __init__(self, what: WorkerCommand, cpu: int) -> None:
         ours = os.sched_getaffinity(0)
-        if what.pinned:
-            os.sched_setaffinity(0, {cpu})  # inherited
+        os.sched_setaffinity(0, {cpu})  # inherited
         try:
             self._process = subprocess.Popen(  # noqa: S603 - our own interpreter and module
                 what.command,

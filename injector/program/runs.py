@@ -47,7 +47,10 @@ class ProgramRuns:
     """Launches a program again and again, within ``with``, which removes what its runs have written."""
 
     def __init__(self, spec: ProgramSpec, processor: int, scratch: Path) -> None:
-        """Make ready; a run that is counted has one ``processor``. What runs write lies in ``scratch``."""
+        """Make ready; each run has one ``processor``. What runs write lies in ``scratch``.
+
+        Threads on several would run in another order each time.
+        """
         self.spec, self._processor = spec, processor
         self._environment = padded(spec.executable, spec.command, spec.environment)
         self._largest, self._scratch = LARGEST_FILE, scratch
@@ -84,7 +87,7 @@ class ProgramRuns:
                 (spec.stdin, os.O_RDONLY),
                 *((str(self._of_run / name), _WRITE) for name in STREAMS),
             ],
-            processors=[self._processor] if counted else [],
+            processors=[self._processor],
             largest_file=self._largest,
         )
         return self._launcher.launch(order, exits=counted)
