@@ -5,13 +5,14 @@ from __future__ import annotations
 import ctypes
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from injector.tracing.elf import functions
 from injector.tracing.process import MemoryMap, MemoryMapping
+from injector.tracing.rust_names import rust_name
 from services.system.libc import libc
 
 SHOWN = 6
@@ -43,14 +44,14 @@ def function_at(pid: int, maps: MemoryMap, name: str, module: str = "") -> tuple
         found = sorted(
             f"{demangled(symbol)} ({symbol} in {_file(piece)})" for piece, symbol in matching.values()
         )
-        message = f"symbol {name!r} is {len(found)} functions: give one in full: {_some(found)}"
+        message = f"symbol {name!r} is {len(found)} functions: give one in full: {some_of(found)}"
         raise SymbolError(message)
     where = f" in {module}" if module else ""
     if not every:
         message = f"symbol {name!r}: no names are left{where} (stripped); use --module"
         raise SymbolError(message)
     near = _near(name, {symbol for _, symbol, _ in every})
-    message = f"symbol {name!r} not found{where}" + (f"; similar: {_some(near)}" if near else "")
+    message = f"symbol {name!r} not found{where}" + (f"; similar: {some_of(near)}" if near else "")
     raise SymbolError(message)
 
 
@@ -77,7 +78,7 @@ def _matching(
     matching: dict[int, tuple[MemoryMapping, str]] = {}
     for piece, symbol, address in every:
         if symbol == name or (
-            symbol.startswith("_Z") and part in symbol and wanted in spellings(demangled(symbol))
+            symbol.startswith(("_Z", "_R")) and part in symbol and wanted in spellings(demangled(symbol))
         ):
             matching.setdefault(address, (piece, symbol))
     return matching, every
@@ -93,7 +94,7 @@ def module_code(maps: MemoryMap, name: str) -> list[MemoryMapping]:
     found = exact or [path for path, file in loaded.items() if file.startswith(name)]
     if len(found) == 1:
         return [one for one in maps.code() if one.path == found[0]]
-    what = f"is {len(found)} files: {_some(found)}" if found else "is not loaded"
+    what = f"is {len(found)} files: {some_of(found)}" if found else "is not loaded"
     message = f"module {name!r} {what}" + ("" if found else f"; loaded: {', '.join(loaded.values())}")
     raise SymbolError(message)
 
@@ -144,6 +145,8 @@ def _demangler() -> Any:
 
 def demangled(symbol: str) -> str:
     """What C++ or Rust calls a function; another name stays as it is."""
+    if symbol.startswith("_R"):
+        return rust_name(symbol) or symbol
     if not symbol.startswith("_Z") or _demangler() is None:
         return symbol
     found = _demangler()(symbol.encode(), None, None, None)
@@ -177,6 +180,7 @@ def _near(name: str, symbols: Iterable[str]) -> list[str]:
     return [by_end[end] for end in [*close, *holding][:SHOWN]]
 
 
-def _some(names: list[str]) -> str:
+def some_of(names: Sequence[str]) -> str:
+    """So many of some names as a refusal shows, and how many more there are."""
     more = len(names) - SHOWN
     return "; ".join(names[:SHOWN]) + (f"; and {more} more" if more > 0 else "")
