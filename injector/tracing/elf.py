@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 _PT_LOAD, _PT_NOTE = 1, 4
 _SHT_PROGBITS, _SHT_SYMTAB, _SHT_DYNSYM = 1, 2, 11
 _SHF_EXECINSTR = 4
+_PF_X = 1
 _NT_GNU_BUILD_ID = 3
 _FUNCTIONS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
 _HEADER = struct.Struct("<16sHHIQQQIHHHHHH")
@@ -114,18 +115,14 @@ class _File:
 
     def __init__(self, content: mmap.mmap | None) -> None:
         self.build_id = ""
-        self._loaded: list[tuple[int, int, int]] = []
+        self._shifts: list[tuple[int, int, int]] = []
         self._functions: list[tuple[int, NDArray[np.void]]] = []
         self._content = content
         if content is None or content[:6] != b"\x7fELF\x02\x01":
             return
-        _, _, _, _, _, program, sections, _, _, _, programs, _, count, _ = _HEADER.unpack_from(content)
-        for at in range(programs):
-            kind, _, start, virtual, _, size, _, _ = _PROGRAM.unpack_from(
-                content, program + at * _PROGRAM.size
-            )
-            if kind == _PT_LOAD:
-                self._loaded.append((start, size, virtual))
+        _, _, _, _, _, _, sections, _, _, _, _, _, count, _ = _HEADER.unpack_from(content)
+        self._shifts = _shifts(content)
+        for kind, _, start, _, _, size, _, _ in _segments(content):
             if kind == _PT_NOTE:
                 self.build_id = self.build_id or _build_id(content[start : start + size])
         for names, table in _tables(content, sections, count):
@@ -133,11 +130,11 @@ class _File:
             self._functions.append((names, table[(kinds == _FUNCTIONS[0]) | (kinds == _FUNCTIONS[1])]))
 
     def virtual(self, in_file: int) -> int:
-        """The virtual address of a byte of the file."""
+        """The virtual address of a byte of the file's code."""
         found = in_file
-        for start, size, virtual in self._loaded:
-            if start <= in_file < start + size:
-                found = in_file - start + virtual
+        for start, end, shift in self._shifts:
+            if start <= in_file < end:
+                found = in_file + shift
         return found
 
     def symbol(self, address: int) -> str:
@@ -183,18 +180,34 @@ def functions(pid: int, mapping: MemoryMapping) -> Iterator[tuple[str, int]]:
     content = _content(pid, mapping.path)
     if content is None or content[:6] != b"\x7fELF\x02\x01":
         return
-    _, _, _, _, _, program, sections, _, _, _, programs, _, section_count, _ = _HEADER.unpack_from(content)
-    segments = [_PROGRAM.unpack_from(content, program + at * _PROGRAM.size) for at in range(programs)]
+    _, _, _, _, _, _, sections, _, _, _, _, _, section_count, _ = _HEADER.unpack_from(content)
     loaded = [
-        mapping.start - mapping.offset + start - virtual
-        for kind, _, start, virtual, _, size, _, _ in segments
-        if kind == _PT_LOAD and start <= mapping.offset < start + size + mmap.PAGESIZE
+        mapping.start - mapping.offset - shift
+        for start, end, shift in _shifts(content)
+        if start <= mapping.offset < end
     ]
     for names, table in _tables(content, sections, section_count) if loaded else ():
         for symbol in table[(table["info"] & 15 == _FUNCTIONS[0]) & (table["section"] != 0)]:
             address = loaded[-1] + int(symbol["value"])
             if mapping.start <= address < mapping.end:
                 yield _name(content, names + int(symbol["name"])), address
+
+
+def _segments(content: mmap.mmap) -> list[tuple[int, ...]]:
+    _, _, _, _, _, program, _, _, _, _, count, _, _, _ = _HEADER.unpack_from(content)
+    return [_PROGRAM.unpack_from(content, program + at * _PROGRAM.size) for at in range(count)]
+
+
+def _shifts(content: mmap.mmap) -> list[tuple[int, int, int]]:
+    """Of each segment of code: its first byte in the file, that behind the last, what virtual addresses add.
+
+    The whole page is loaded in which it begins: a page of two segments is loaded twice.
+    """
+    return [
+        (start - start % mmap.PAGESIZE, start + size, virtual - start)
+        for kind, flags, start, virtual, _, size, _, _ in _segments(content)
+        if kind == _PT_LOAD and flags & _PF_X
+    ]
 
 
 def code_sections(pid: int, mapping: MemoryMapping) -> list[tuple[int, int]]:
