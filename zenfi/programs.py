@@ -35,6 +35,7 @@ from deploy.kernel_study.study import Study
 from deploy.kernel_study.workers import program_worker
 from injector.kernel_study.results import StudyRun
 from injector.program.spec import STREAMS, ProgramOrder, ProgramSpec
+from injector.tracing.source_lines import SourceLineError, parsed_line
 from services.models.faults.specification import FaultSpec
 
 LIMIT_S = 600.0
@@ -85,12 +86,14 @@ def program(
     module: str = "",
     symbol: str = "",
     address: int | None = None,
+    line: str = "",
 ) -> ProgramSpec:
     """Describe a program, found as a shell finds it; it will run in this folder.
 
     With ``inputs`` (copied into it) or ``compare`` (files that it writes) each run has a folder of its own.
     It finds :data:`ENVIRONMENT` and ``environment``, and nothing of this process's; without a fault it ends
-    with exit ``status``. ``tolerance`` and ``comparator`` say which outputs count as the same.
+    with exit ``status``. ``tolerance`` and ``comparator`` say which outputs count as the same. ``line`` is
+    the source line whose code is struck, as ``FILE:LINE``.
 
     :raises BadSpecError: if there is no such program or file, or something does not go together.
     """
@@ -115,6 +118,7 @@ def program(
         raise BadSpecError("--tolerance and --comparator both say what counts as the same: leave out one")
     if address is not None and not module:
         raise BadSpecError("--address needs its module: MODULE+0x10")
+    _check_line(line)
     return ProgramSpec(
         command=tuple(command),
         executable=os.path.abspath(found),  # noqa: PTH100 - a link stays one: programs look at their names
@@ -131,7 +135,16 @@ def program(
         module=module,
         symbol=symbol,
         address=address,
+        line=line,
     )
+
+
+def _check_line(line: str) -> None:
+    try:
+        if line:
+            parsed_line(line)
+    except SourceLineError as error:
+        raise BadSpecError(str(error)) from error
 
 
 def run(
@@ -184,8 +197,13 @@ class ReplayedRun:
 
     @property
     def same(self) -> bool:
-        """Whether outcome, cause, instruction and all values are the same."""
-        return self.was == self.now
+        """Whether outcome, cause, instruction and all values are the same.
+
+        Debug information that was installed or removed since then makes no difference.
+        """
+        line = {"line": self.was.injection.line}
+        now = self.now.model_copy(update={"injection": self.now.injection.model_copy(update=line)})
+        return self.was == now
 
 
 def replay(

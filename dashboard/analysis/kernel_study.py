@@ -129,6 +129,7 @@ WAYS: Mapping[str, Callable[[InjectionRecord], str]] = {
     "bit": _bit,
     "module": lambda record: record.module or "compiled at run time",
     "symbol": lambda record: demangled(record.symbol) or "unknown",
+    "line": lambda record: record.line or "unknown",
 }
 """By what injections can be divided; bits in groups of eight."""
 
@@ -143,3 +144,14 @@ def divided(
             groups[WAYS[way](run.injection)].append(run)
     order = sorted(groups, key=lambda name: (-len(groups[name]), name))
     return [(name, len(groups[name]), shares(groups[name], results)) for name in order]
+
+
+def short_lines(lines: Sequence[str]) -> list[str]:
+    """Source lines, each with as many folders of its file as tell all these files apart."""
+    split = [one.split("/") for one in lines]
+    files = {one.rpartition(":")[0] for one in lines}
+    for parts in range(1, max(map(len, split), default=0)):
+        short = ["/".join(one[-parts:]) for one in split]
+        if len({one.rpartition(":")[0] for one in short}) == len(files):
+            return short
+    return list(lines)

@@ -46,7 +46,7 @@ def _lines(one: ProcessInjection, record: InjectionRecord) -> Iterator[tuple[str
 
 def _place(record: InjectionRecord) -> str:
     where = f"{record.module or 'code without a file'} at {record.offset:#x}"
-    return f"{demangled(record.symbol)}, {where}" if record.symbol else where
+    return ", ".join(filter(None, (demangled(record.symbol), record.line, where)))
 
 
 def _struck(record: InjectionRecord) -> str:

@@ -19,6 +19,7 @@ from injector.faults.stopped_thread import InjectionResult
 from injector.tracing.elf import place
 from injector.tracing.process import ChangedError, MemoryMap, Process, VanishedError
 from injector.tracing.ptrace import NotPermittedError
+from injector.tracing.source_lines import SourceLines
 from injector.tracing.waiting import wait_until
 from services.models.base import Strict
 from services.models.faults.specification import FaultSpec
@@ -159,7 +160,7 @@ def _record(
         node=node,
         kernel="",
         invocation=report.call or 0,
-        location=lambda address: place(pid, maps, address),
+        location=lambda address: place(pid, maps, address, lines=SourceLines()),
         precision=report.precision,
         pid=pid,
         tid=report.tid,

@@ -30,6 +30,7 @@ from injector.tracing import elf, ptrace
 from injector.tracing.compiled_functions import CompiledFunctions
 from injector.tracing.process import MemoryMap, Process, ProcessIdentity, VanishedError, cpu_s, sleeps
 from injector.tracing.ptrace import GoneError, StopReport
+from injector.tracing.source_lines import SourceLines
 from injector.tracing.tracee import Tracee
 from injector.tracing.tracees import TraceeGroup
 from injector.tracing.waiting import wait_until
@@ -74,7 +75,7 @@ class SubjectInjector:
         # The same in all copies.
         self._compiled = CompiledFunctions()
         self._places = elf.CodeLocations(
-            pid, MemoryMap(Path(f"/proc/{pid}/maps").read_text()), self._compiled
+            pid, MemoryMap(Path(f"/proc/{pid}/maps").read_text()), self._compiled, SourceLines()
         )
         self._profiled: tuple[FaultSpec, CallProfile] | None = None
         self._limit_s = _BEGIN_S

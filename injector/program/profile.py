@@ -19,6 +19,7 @@ from injector.program.counted_program import CountedProgram
 from injector.program.spec import ProgramSpec
 from injector.tracing.elf import CodeLocations
 from injector.tracing.process import MemoryMap
+from injector.tracing.source_lines import SourceLineError, code_of_line
 from injector.tracing.symbols import SymbolError, functions_named, module_code
 from services.models.faults.specification import FaultSpec
 
@@ -135,6 +136,8 @@ def _scope(
     pid: int, maps: MemoryMap, places: CodeLocations, passes: dict[int, int], spec: ProgramSpec
 ) -> Callable[[int], bool]:
     """A test of addresses: whether they are of the code that is specified."""
+    if spec.line:
+        return _line(pid, maps, places, passes, spec)
     if spec.symbol:
         return _functions(pid, maps, places, passes, spec)
     if not spec.module:
@@ -166,3 +169,15 @@ def _functions(
                 break
             inside.add(address)
     return inside.__contains__
+
+
+def _line(
+    pid: int, maps: MemoryMap, places: CodeLocations, passes: dict[int, int], spec: ProgramSpec
+) -> Callable[[int], bool]:
+    """Of a source line's code what the rest of the specification leaves of it."""
+    try:
+        code = code_of_line(pid, maps, spec.line, spec.module)
+    except (SourceLineError, SymbolError) as error:
+        raise ScopeError(str(error)) from error
+    rest = _scope(pid, maps, places, passes, spec.model_copy(update={"line": ""}))
+    return lambda one: any(begin <= one < end for begin, end in code) and rest(one)

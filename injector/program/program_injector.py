@@ -26,6 +26,7 @@ from injector.program.watch import RunWatch
 from injector.tracing.elf import CodeLocation, CodeLocations
 from injector.tracing.process import VanishedError
 from injector.tracing.ptrace import GoneError
+from injector.tracing.source_lines import SourceLines
 from services.models.faults.specification import FaultSpec, Trigger
 from services.runtime import rng
 from services.system.signal_names import signal_name
@@ -48,6 +49,7 @@ class ProgramInjector:
         self._runs, self._name = runs, runs.spec.name
         self._golden: GoldenRun = runs.golden(limit_s)
         self._places: CodeLocations | None = None
+        self._lines = SourceLines()
 
     def draw(
         self, fault: FaultSpec, seed: int, indices: Sequence[int]
@@ -176,7 +178,7 @@ class ProgramInjector:
     def _place_of(self, program: LaunchedProgram, address: int) -> CodeLocation:
         """Where an address lies; files that were read for other runs are not read again."""
         if self._places is None or not self._places.named(address)[0]:
-            self._places = CodeLocations(program.pid, program.process.maps())
+            self._places = CodeLocations(program.pid, program.process.maps(), lines=self._lines)
         return self._places.at(address)
 
 

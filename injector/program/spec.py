@@ -16,7 +16,8 @@ class ProgramSpec(Strict):
     With ``inputs`` or ``outputs`` each run has a folder of its own, with copies of the inputs; otherwise it
     runs in ``folder``. ``environment`` is all that it has. Exit statuses ``detected`` say that the program
     noticed an error itself. ``module``, ``symbol`` and ``address`` (an offset as objdump shows it) narrow the
-    code to a file, a function or one instruction. A ``comparator`` is given two folders, of a run without a
+    code to a file, a function or one instruction, ``line`` (``FILE:LINE``) to what debug information says is
+    of that line of the source. A ``comparator`` is given two folders, of a run without a
     fault and of one with: it ends with status 0 if their outputs count as the same, with 1 if not.
     """
 
@@ -35,6 +36,7 @@ class ProgramSpec(Strict):
     module: str = ""
     symbol: str = ""
     address: int | None = None
+    line: str = ""
 
     @property
     def name(self) -> str:

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from injector.tracing.process import MemoryMap, MemoryMapping
 
 if TYPE_CHECKING:
-    from injector.tracing.compiled_functions import (
-        CompiledFunction,
-        CompiledFunctions,
-    )  # imports numba, which takes its time
+    # These import numba and pyelftools, which takes its time.
+    from injector.tracing.compiled_functions import CompiledFunction, CompiledFunctions
+    from injector.tracing.source_lines import SourceLines
 
 _PT_LOAD, _PT_NOTE = 1, 4
 _SHT_PROGBITS, _SHT_SYMTAB, _SHT_DYNSYM = 1, 2, 11
@@ -45,23 +44,32 @@ class CodeLocation:
     ``offset`` is the virtual address that the ELF file gives the place, as objdump and addr2line
     show it. In a function that numba has compiled, ``module`` says so, ``build_id`` is the function's
     identity and ``offset`` counts from its beginning. For other code in no file, ``module`` is empty and
-    ``offset`` is the address itself, which repeats because address randomisation is off.
+    ``offset`` is the address itself, which repeats because address randomisation is off. ``line`` is
+    ``FILE:LINE`` where debug information tells it.
     """
 
     module: str
     build_id: str
     offset: int
     symbol: str
+    line: str = ""
 
 
 class CodeLocations:
     """Where addresses of a process lie; each is found, and each file is read, but once.
 
     ``compiled`` are the functions that numba compiled in a process that has parted from this one since.
+    Without ``lines`` nothing is told of source lines.
     """
 
-    def __init__(self, pid: int, maps: MemoryMap, compiled: CompiledFunctions | None = None) -> None:
-        self._pid, self._maps, self._compiled = pid, maps, compiled
+    def __init__(
+        self,
+        pid: int,
+        maps: MemoryMap,
+        compiled: CompiledFunctions | None = None,
+        lines: SourceLines | None = None,
+    ) -> None:
+        self._pid, self._maps, self._compiled, self._lines = pid, maps, compiled, lines
         self._files: dict[str, _File] = {}
         self._found: dict[int, CodeLocation] = {}
         self._mapping: MemoryMapping | None = None
@@ -70,7 +78,8 @@ class CodeLocations:
         """Where an address lies; what the file does not tell is left empty."""
         if address not in self._found:
             module, build_id, offset = self.named(address)
-            self._found[address] = CodeLocation(module, build_id, offset, self._symbol(address, offset))
+            symbol, line = self._symbol(address, offset), self._line(address, offset)
+            self._found[address] = CodeLocation(module, build_id, offset, symbol, line)
         return self._found[address]
 
     def named(self, address: int) -> tuple[str, str, int]:
@@ -91,6 +100,12 @@ class CodeLocations:
         function = self._function(address)
         return function.symbol if function is not None else ""
 
+    def _line(self, address: int, offset: int) -> str:
+        mapping = self._mapping_of(address)
+        if self._lines is None or mapping is None or not mapping.path:
+            return ""
+        return self._lines.at(self._pid, mapping.path, offset)
+
     def _mapping_of(self, address: int) -> MemoryMapping | None:
         if self._mapping is None or not self._mapping.start <= address < self._mapping.end:
             self._mapping = self._maps.at(address)
@@ -101,13 +116,19 @@ class CodeLocations:
 
     def _file(self, path: str) -> _File:
         if path not in self._files:
-            self._files[path] = _File(_content(self._pid, path))
+            self._files[path] = _File(file_content(self._pid, path))
         return self._files[path]
 
 
-def place(pid: int, maps: MemoryMap, address: int, compiled: CompiledFunctions | None = None) -> CodeLocation:
+def place(
+    pid: int,
+    maps: MemoryMap,
+    address: int,
+    compiled: CompiledFunctions | None = None,
+    lines: SourceLines | None = None,
+) -> CodeLocation:
     """Where one ``address`` lies; what the file does not tell is left empty."""
-    return CodeLocations(pid, maps, compiled).at(address)
+    return CodeLocations(pid, maps, compiled, lines).at(address)
 
 
 class _File:
@@ -124,7 +145,7 @@ class _File:
         self._shifts = _shifts(content)
         for kind, _, start, _, _, size, _, _ in _segments(content):
             if kind == _PT_NOTE:
-                self.build_id = self.build_id or _build_id(content[start : start + size])
+                self.build_id = self.build_id or build_id_in(content[start : start + size])
         for names, table in _tables(content, sections, count):
             kinds = table["info"] & 15
             self._functions.append((names, table[(kinds == _FUNCTIONS[0]) | (kinds == _FUNCTIONS[1])]))
@@ -177,7 +198,7 @@ def functions(pid: int, mapping: MemoryMapping) -> Iterator[tuple[str, int]]:
 
     Those that are chosen when the file is loaded (STT_GNU_IFUNC) are left out.
     """
-    content = _content(pid, mapping.path)
+    content = file_content(pid, mapping.path)
     if content is None or content[:6] != b"\x7fELF\x02\x01":
         return
     _, _, _, _, _, _, sections, _, _, _, _, _, section_count, _ = _HEADER.unpack_from(content)
@@ -215,7 +236,7 @@ def code_sections(pid: int, mapping: MemoryMapping) -> list[tuple[int, int]]:
 
     A file may have constants between its sections of code.
     """
-    content = _content(pid, mapping.path) if mapping.path else None
+    content = file_content(pid, mapping.path) if mapping.path else None
     if content is None or content[:6] != b"\x7fELF\x02\x01":
         return [(mapping.start, mapping.end)]
     _, _, _, _, _, _, sections, _, _, _, _, _, count, _ = _HEADER.unpack_from(content)
@@ -230,7 +251,8 @@ def code_sections(pid: int, mapping: MemoryMapping) -> list[tuple[int, int]]:
     return found or [(mapping.start, mapping.end)]
 
 
-def _content(pid: int, path: str) -> mmap.mmap | None:
+def file_content(pid: int, path: str) -> mmap.mmap | None:
+    """A file as a process sees it, or as we do; None if it is gone, or empty."""
     for candidate in (Path(f"/proc/{pid}/root{path}"), Path(path)):
         try:
             with candidate.open("rb") as file:
@@ -240,7 +262,20 @@ def _content(pid: int, path: str) -> mmap.mmap | None:
     return None
 
 
-def _build_id(notes: bytes) -> str:
+def named_sections(content: mmap.mmap | None) -> dict[str, slice]:
+    """Where each section of an ELF file lies in it, by name; none of another file."""
+    if content is None or content[:6] != b"\x7fELF\x02\x01":
+        return {}
+    _, _, _, _, _, _, sections, _, _, _, _, _, count, names = _HEADER.unpack_from(content)
+    headers = [_SECTION.unpack_from(content, sections + at * _SECTION.size) for at in range(count)]
+    return {
+        _name(content, headers[names][4] + name): slice(start, start + size)
+        for name, _, _, _, start, size, _, _, _, _ in headers
+    }
+
+
+def build_id_in(notes: bytes) -> str:
+    """The build id among the notes of an ELF file, in hexadecimal; empty if there is none."""
     at = 0
     while at + _NOTE.size <= len(notes):
         name_size, size, kind = _NOTE.unpack_from(notes, at)

@@ -97,6 +97,7 @@ class InjectionRecord(Strict):
     build_id: str = ""
     offset: int = 0
     symbol: str = ""
+    line: str = Field(default="", description="FILE:LINE of the source, where debug information tells it")
     instruction_bytes: str = ""
     instruction: str = ""
     operand: Literal["source", "destination", ""] = ""

@@ -59,7 +59,7 @@ int main() {
 
 @pytest.fixture(scope="session")
 def mapper(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The program; ``grid::insert`` lies in its library ``libgrid.so``."""
+    """The program; ``grid::insert`` lies in its library ``libgrid.so``, which has debug information."""
     compiler = shutil.which("c++")
     if compiler is None:
         pytest.skip("no C++ compiler (c++) on this machine")
@@ -67,7 +67,9 @@ def mapper(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "grid.cpp").write_text(_LIBRARY)
     (folder / "main.cpp").write_text(_MAIN)
     library, program = folder / "libgrid.so", folder / "mapper"
-    subprocess.run([compiler, "-O1", "-shared", "-fPIC", "-o", library, folder / "grid.cpp"], check=True)
+    subprocess.run(
+        [compiler, "-g", "-O1", "-shared", "-fPIC", "-o", library, folder / "grid.cpp"], check=True
+    )
     link: list[str | Path] = [folder / "main.cpp", library, f"-Wl,-rpath,{folder}", "-pthread"]
     subprocess.run([compiler, "-O1", "-o", program, *link], check=True)
     return program

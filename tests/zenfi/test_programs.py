@@ -72,6 +72,7 @@ def test_what_is_killed_loses_nothing_and_leaves_nothing(file: Path) -> None:
         (["true"], {"compare": ["/var/result"]}, "expected a file in the run's own folder"),
         (["true"], {"ignore": ["stdin"]}, "known are stdout, stderr"),
         (["true"], {"address": 16}, "--address needs its module"),
+        (["true"], {"line": "main.c:0"}, "expected FILE:LINE"),
     ],
 )
 def test_what_cannot_be_run_is_refused(command: list[str], more: dict[str, object], problem: str) -> None:

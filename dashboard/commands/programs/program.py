@@ -14,7 +14,7 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from dashboard.analysis.kernel_study import PROGRAM_RESULTS, WAYS, OutcomeShare
+from dashboard.analysis.kernel_study import PROGRAM_RESULTS, WAYS, OutcomeShare, short_lines
 from dashboard.terminal.options import as_json
 from deploy.errors import BadSpecError
 from injector.kernel_study.results import StudyRun
@@ -73,6 +73,7 @@ limit = click.option(
 @click.option("--module", default="", metavar="FILE", help="Strike code of this executable or library only.")
 @click.option("--symbol", default="", metavar="NAME", help="Strike the code of this function only.")
 @click.option("--address", default="", metavar="MODULE+0x10", help="Strike this instruction only.")
+@click.option("--line", default="", metavar="FILE:LINE", help="Strike the code of this source line only.")
 @click.option("--stdin", default=os.devnull, metavar="FILE", help="What the program reads.")
 @click.option("--input", "inputs", multiple=True, metavar="FILE", help="Copied into each run's own folder.")
 @click.option(
@@ -104,6 +105,7 @@ def run(
     module: str,
     symbol: str,
     address: str,
+    line: str,
     stdin: str,
     inputs: tuple[str, ...],
     compare: tuple[str, ...],
@@ -142,6 +144,7 @@ def run(
         module=where,
         symbol=symbol,
         address=offset,
+        line=line,
     )
     study = programs.run(
         spec, runs, seed=seed, slots=slots, fault=fault, output=output, limit_s=limit_s, progress=True
@@ -179,7 +182,14 @@ def replay(file: Path, *, indices: tuple[int, ...], slots: int | None, limit_s: 
 
 
 def _outcome(run: StudyRun) -> str:
-    return " ".join(filter(None, (run.result, run.cause and f"({run.cause})", run.injection.instruction)))
+    record = run.injection
+    told = (
+        run.result,
+        run.cause and f"({run.cause})",
+        record.instruction,
+        record.line and f"at {record.line}",
+    )
+    return " ".join(filter(None, told))
 
 
 def _tables(study: ProgramStudy, ways: tuple[str, ...]) -> Iterator[Table]:
@@ -198,10 +208,15 @@ def _tables(study: ProgramStudy, ways: tuple[str, ...]) -> Iterator[Table]:
     yield _circumstances(study)
     for way in ways:
         found = Table(title=f"by {way}", box=SIMPLE)
-        for column in (way, "hit", *PROGRAM_RESULTS):
-            found.add_column(column, justify="left" if column == way else "right")
-        for group, count, shares in study.by(way)[:_GROUPS]:
-            found.add_row(group, str(count), *(" ".join(_share(one, count)) for one in shares.values()))
+        found.add_column(way, overflow="fold")
+        for column in ("hit", *PROGRAM_RESULTS):
+            found.add_column(column, justify="right")
+        groups = study.by(way)[:_GROUPS]
+        names = [name for name, _, _ in groups]
+        for name, (_, count, shares) in zip(
+            short_lines(names) if way == "line" else names, groups, strict=True
+        ):
+            found.add_row(name, str(count), *(" ".join(_share(one, count)) for one in shares.values()))
         yield found
 
 

@@ -30,7 +30,8 @@ class Breakdown:
                 self._heat = ui.echart({}).classes("chart heat")
             with ui.row().classes("toolbar"):
                 ui.label("The same by")
-                self._way = ui.toggle(list(WAYS), value="register", on_change=self._regroup)
+                ways = [way for way in WAYS if way != "line"]  # of flights none is looked up
+                self._way = ui.toggle(ways, value="register", on_change=self._regroup)
                 self._way.props('no-caps unelevated aria-label="Divide by"').classes("ways-toggle")
             self._table = table(
                 (

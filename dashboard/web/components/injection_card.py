@@ -28,8 +28,7 @@ def injection_card(record: InjectionRecord) -> None:
 def told(record: InjectionRecord) -> dict[str, str]:
     """The injection record as pairs of words."""
     where = f"{record.module or 'code without a file'} at {record.offset:#x}" if record.instruction else ""
-    if record.symbol:
-        where = f"{demangled(record.symbol)}, {where}"
+    where = ", ".join(filter(None, (demangled(record.symbol), record.line, where)))
     return {
         "Status": record.status,
         "Reason": record.reason,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dashboard.analysis.kernel_study import divided, instruction_class, summarise
+from dashboard.analysis.kernel_study import divided, instruction_class, short_lines, summarise
 from injector.kernel_study.results import CallLength, StudyResult, StudyRun
 from services.models.outcome import InjectionRecord
 
@@ -76,3 +76,19 @@ def test_a_study_is_divided_by_what_was_struck() -> None:
 )
 def test_instructions_are_told_apart_by_what_they_do(text: str, kind: str) -> None:
     assert instruction_class(text) == kind
+
+
+@pytest.mark.parametrize(
+    ("lines", "short"),
+    [
+        (["/a/b/main.c:1", "/a/b/main.c:2"], ["main.c:1", "main.c:2"]),
+        (["/a/x/main.c:1", "/a/y/main.c:2", "unknown"], ["x/main.c:1", "y/main.c:2", "unknown"]),
+        (["main.c:1", "/x/main.c:1"], ["main.c:1", "x/main.c:1"]),
+        (["unknown"], ["unknown"]),
+        ([], []),
+    ],
+)
+def test_source_lines_are_shown_with_as_few_folders_as_tell_their_files_apart(
+    lines: list[str], short: list[str]
+) -> None:
+    assert short_lines(lines) == short

@@ -1,12 +1,14 @@
 """``zenfi program run`` and ``replay``: what they print, and by which exit status."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
 from dashboard.cli import main
 from injector.kernel_study.results import StudyRun
+from tests.injector.program.launched import compiled
 
 
 def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
@@ -39,11 +41,37 @@ def test_runs_are_made_told_and_replayed(tmp_path: Path, capsys: pytest.CaptureF
     assert "now benign" in out
 
 
+def test_a_source_line_is_struck_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source = """#include <stdio.h>
+int main(void) {
+    unsigned sum = 1;
+    for (unsigned at = 0; at < 99; at++)
+        sum = sum * 5 + at;
+    printf("%u\\n", sum);
+}
+"""
+    program, file = str(compiled(tmp_path, source, "sums", "-g")), str(tmp_path / "runs.jsonl")
+    asked = ("--runs", "4", "--slots", "1", "--output", file, "--line", "sums.c:5", "--by", "line")
+    status, out, _ = said(capsys, "run", *asked, "--", program)
+    assert status == 0
+    assert "by line" in out
+    assert "sums.c:5" in out
+    runs = Path(file).read_text()
+    assert runs.count(f'"line":"{tmp_path}/sums.c:5"') == 4
+    # What debug information says is no part of what is to be the same.
+    Path(file).write_text(runs.replace(f'"line":"{tmp_path}/sums.c:5"', '"line":""'))
+    assert said(capsys, "replay", file, "--slots", "1")[:2] == (0, "replayed: 4 of 4 the same\n")
+    Path(file).write_text(re.sub('"result":"(benign|sdc|crash)"', '"result":"detected"', runs))
+    status, out, _ = said(capsys, "replay", file, "--slots", "1")
+    assert (status, out.count(f" at {tmp_path}/sums.c:5\n")) == (1, 4)
+
+
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
         (("run", "--", "no-such-program"), "no-such-program: no such program, or it cannot be executed"),
         (("run", "--address", "x", "--", "true"), "--address x: expected MODULE+0x10"),
+        (("run", "--line", "main.c", "--", "true"), "line 'main.c': expected FILE:LINE"),
         (("run", "--env", "NO_SUCH", "--", "true"), "--env NO_SUCH: there is no such variable"),
         (("run", "--fault", "colour=red", "--", "true"), "colour"),
         (("run", "--runs", "0", "--", "true"), "--runs"),
