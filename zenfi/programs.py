@@ -7,14 +7,12 @@
 from __future__ import annotations
 
 import os
-import platform
-import shutil
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import ValidationError
 from rich.console import Console
 from rich.progress import Progress
 
@@ -26,28 +24,37 @@ from dashboard.analysis.kernel_study import (
     divided,
     summarise,
 )
-from deploy.config.check import check_machine
 from deploy.config.workdir import mission_folder
 from deploy.config.written_faults import fault_fields
-from deploy.errors import BadSpecError
+from deploy.errors import BadSpecError, one_line
 from deploy.kernel_study.file import StudyFile, kept_study
+from deploy.kernel_study.program_study import (
+    ENVIRONMENT,
+    LIMIT_S,
+    ProgramStudySpec,
+    load_program_study,
+    located,
+    program_study,
+    study_of,
+)
 from deploy.kernel_study.study import Study
 from deploy.kernel_study.workers import program_worker
 from injector.kernel_study.results import StudyRun
-from injector.program.spec import STREAMS, ProgramOrder, ProgramSpec
-from injector.tracing.source_lines import SourceLineError, parsed_line
+from injector.program.spec import ProgramOrder, ProgramSpec
 from services.models.faults.specification import FaultSpec
 
-LIMIT_S = 600.0
-"""Longest wall time of a run without a fault."""
-
-ENVIRONMENT = {
-    "LANG": "C.UTF-8",
-    "PATH": "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin",
-    "PERL_HASH_SEED": "0",
-    "PYTHONHASHSEED": "0",
-}
-"""What a program finds, whoever runs it; more is passed by name."""
+__all__ = [
+    "ENVIRONMENT",
+    "LIMIT_S",
+    "ProgramStudy",
+    "ProgramStudySpec",
+    "ReplayedRun",
+    "load",
+    "make",
+    "program",
+    "replay",
+    "run",
+]
 
 
 @dataclass(frozen=True)
@@ -97,54 +104,36 @@ def program(
 
     :raises BadSpecError: if there is no such program or file, or something does not go together.
     """
-    if platform.machine() != "x86_64":
-        raise BadSpecError("programs are struck on x86-64 only")
-    found = shutil.which(command[0]) if command else None
-    if found is None:
-        message = f"{command[0] if command else 'no command'}: no such program, or it cannot be executed"
-        raise BadSpecError(message)
-    for name in (stdin, *inputs):
-        if not Path(name).exists():
-            message = f"{name}: no such file"
-            raise BadSpecError(message)
-    for name in compare:
-        if Path(name).is_absolute() or ".." in Path(name).parts:
-            message = f"--compare {name}: expected a file in the run's own folder, by a relative name"
-            raise BadSpecError(message)
-    if unknown := [one for one in ignore if one not in STREAMS]:
-        message = f"--ignore {unknown[0]}: known are {', '.join(STREAMS)}"
-        raise BadSpecError(message)
-    if tolerance is not None and comparator:
-        raise BadSpecError("--tolerance and --comparator both say what counts as the same: leave out one")
-    if address is not None and not module:
-        raise BadSpecError("--address needs its module: MODULE+0x10")
-    _check_line(line)
-    return ProgramSpec(
-        command=tuple(command),
-        executable=os.path.abspath(found),  # noqa: PTH100 - a link stays one: programs look at their names
-        folder=str(Path.cwd()),
-        environment=ENVIRONMENT | dict(environment or {}),
-        stdin=os.path.abspath(stdin),  # noqa: PTH100
-        inputs=tuple(inputs),
-        outputs=tuple(compare),
-        ignored=tuple(ignore),
-        status=status,
-        detected=tuple(detected),
-        tolerance=tolerance,
-        comparator=tuple(comparator),
-        module=module,
-        symbol=symbol,
-        address=address,
-        line=line,
-    )
-
-
-def _check_line(line: str) -> None:
+    if not command:
+        raise BadSpecError("no command: it names the program")
     try:
-        if line:
-            parsed_line(line)
-    except SourceLineError as error:
-        raise BadSpecError(str(error)) from error
+        spec = ProgramSpec(
+            command=tuple(command),
+            environment=dict(environment or {}),
+            stdin=stdin,
+            inputs=tuple(inputs),
+            compare=tuple(compare),
+            ignore=tuple(ignore),
+            status=status,
+            detected=tuple(detected),
+            tolerance=tolerance,
+            comparator=tuple(comparator),
+            module=module,
+            symbol=symbol,
+            address=address,
+            line=line,
+        )
+    except ValidationError as error:
+        raise BadSpecError(one_line(error)) from error
+    return located(spec, Path.cwd())
+
+
+def load(file: Path | str) -> ProgramStudySpec:
+    """Read the study in a TOML file, to be made by :func:`make`; names in it are relative to its folder.
+
+    :raises BadSpecError: naming the file and the key, if something in it is none or does not go together.
+    """
+    return load_program_study(Path(file))
 
 
 def run(
@@ -165,27 +154,36 @@ def run(
     :raises BadSpecError: if the program cannot be struck as it is, or the file holds something else.
     """
     spec = what if isinstance(what, ProgramSpec) else program(what)
-    asked = FaultSpec.model_validate({"target": spec.name, **fault_fields(fault)})
-    check_machine(asked)
-    if asked.recurs or asked.level != "instruction":
-        raise BadSpecError("--fault: a program's run is struck once, at level instruction")
-    aimed = asked.model_copy(update={"scope": "thread"})  # of a kernel's name, too
+    study = study_of(spec, fault_fields(fault), runs=injections, seed=seed, limit_s=limit_s)
+    return make(study, slots=slots, output=output, progress=progress)
+
+
+def make(
+    spec: ProgramStudySpec,
+    *,
+    slots: int | None = None,
+    output: Path | str | None = None,
+    progress: bool = True,
+) -> ProgramStudy:
+    """Make a study as it is specified, e.g. that of a file; ``slots`` and ``output`` as of :func:`run`.
+
+    :raises BadSpecError: if the program cannot be struck as it is, or the output holds something else.
+    """
     path = Path(output) if output is not None else None
     bar = Progress(console=Console(stderr=True), disable=not progress)
-    with mission_folder() as scratch, closing(StudyFile(path)) as file, bar:
-        section = file.section(spec.name, aimed, seed, spec)
+    with program_study(spec, path, slots or len(os.sched_getaffinity(0))) as (study, section), bar:
         known = set(section.runs)
-        task = bar.add_task(spec.name, total=injections, completed=min(len(known), injections))
+        task = bar.add_task(spec.program.name, total=spec.runs, completed=min(len(known), spec.runs))
         begin = time.monotonic()
-        workers = program_worker(ProgramOrder(program=spec, limit_s=limit_s, scratch=str(scratch)))
-        study = Study(workers, aimed, injections, seed, slots or len(os.sched_getaffinity(0)), section)
         runs = study.run(lambda _: bar.advance(task))
         made = sum(one.index not in known for one in runs)
         section.finish(runs)
         rates = made / (time.monotonic() - begin), 1e3 * study.cpu_s / made if made else 0.0
         assert section.length is not None  # noqa: S101 - the study is made
-        summary = summarise(spec.name, "relative", runs, section.length, *rates, results=PROGRAM_RESULTS)
-    return ProgramStudy(spec, aimed, seed, summary, runs)
+        summary = summarise(
+            spec.program.name, "relative", runs, section.length, *rates, results=PROGRAM_RESULTS
+        )
+    return ProgramStudy(spec.program, spec.fault, spec.seed, summary, runs)
 
 
 @dataclass(frozen=True)

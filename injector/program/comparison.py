@@ -50,8 +50,10 @@ class OutputDifference:
         return bool(self.words) and not self.within_tolerance
 
 
-def compared_by(comparator: Sequence[str], golden: Path, run: Path) -> bool:
-    """Whether a comparator calls the outputs in two folders the same, by exit status 0; 1: it does not.
+def compared_by(comparator: Sequence[str], folder: str, golden: Path, run: Path) -> bool:
+    """Whether a comparator, run in ``folder``, calls the outputs in two others the same.
+
+    It does so by exit status 0; 1: it does not.
 
     :raises UnsuitableProgramError: if it ends otherwise, or not within a minute.
     """
@@ -61,6 +63,7 @@ def compared_by(comparator: Sequence[str], golden: Path, run: Path) -> bool:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
+            cwd=folder,
             timeout=COMPARATOR_S,
             check=False,
         ).returncode

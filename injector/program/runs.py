@@ -107,7 +107,7 @@ class ProgramRuns:
         if not words or output.status != golden.output.status:
             return OutputDifference(words)
         if self.spec.comparator:
-            same = compared_by(self.spec.comparator, self._of_golden, self._of_run)
+            same = compared_by(self.spec.comparator, self.spec.folder, self._of_golden, self._of_run)
             return OutputDifference("" if same else words)
         if self.spec.tolerance is None:
             return OutputDifference(words)

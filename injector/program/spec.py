@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from services.models.base import Strict
@@ -13,7 +15,7 @@ STREAMS = ("stdout", "stderr")
 class ProgramSpec(Strict):
     """A program's command, its surroundings, the code to strike and what is compared of a run.
 
-    With ``inputs`` or ``outputs`` each run has a folder of its own, with copies of the inputs; otherwise it
+    With ``inputs`` or ``compare`` each run has a folder of its own, with copies of the inputs; otherwise it
     runs in ``folder``. ``environment`` is all that it has. Exit statuses ``detected`` say that the program
     noticed an error itself. ``module``, ``symbol`` and ``address`` (an offset as objdump shows it) narrow the
     code to a file, a function or one instruction, ``line`` (``FILE:LINE``) to what debug information says is
@@ -22,13 +24,13 @@ class ProgramSpec(Strict):
     """
 
     command: tuple[str, ...] = Field(min_length=1)
-    executable: str
-    folder: str
+    executable: str = Field(default="", description="if it is not what the command's first word names")
+    folder: str = ""
     environment: dict[str, str] = Field(default_factory=dict)
     stdin: str = "/dev/null"
     inputs: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()
-    ignored: tuple[str, ...] = Field(default=(), description="of stdout and stderr: not compared")
+    compare: tuple[str, ...] = Field(default=(), description="files that it writes: part of its output")
+    ignore: tuple[Literal["stdout", "stderr"], ...] = Field(default=(), description="not compared")
     status: int = Field(default=0, description="exit status without a fault")
     detected: tuple[int, ...] = ()
     tolerance: float | None = Field(default=None, ge=0, description="relative, of numbers in text")
@@ -46,12 +48,12 @@ class ProgramSpec(Strict):
     @property
     def compared(self) -> tuple[str, ...]:
         """The files of a run that are compared."""
-        return tuple(one for one in (*STREAMS, *self.outputs) if one not in self.ignored)
+        return tuple(one for one in (*STREAMS, *self.compare) if one not in self.ignore)
 
     @property
     def has_own_folder(self) -> bool:
         """Whether each run has a folder of its own."""
-        return bool(self.inputs or self.outputs)
+        return bool(self.inputs or self.compare)
 
 
 class ProgramOrder(Strict):

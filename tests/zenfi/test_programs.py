@@ -70,8 +70,8 @@ def test_what_is_killed_loses_nothing_and_leaves_nothing(file: Path) -> None:
         ([], {}, "no command"),
         (["true"], {"stdin": "/nothing/here"}, "/nothing/here: no such file"),
         (["true"], {"compare": ["/var/result"]}, "expected a file in the run's own folder"),
-        (["true"], {"ignore": ["stdin"]}, "known are stdout, stderr"),
-        (["true"], {"address": 16}, "--address needs its module"),
+        (["true"], {"ignore": ["stdin"]}, "ignore.0: Input should be .stdout. or .stderr."),
+        (["true"], {"address": 16}, "address: needs its module"),
         (["true"], {"line": "main.c:0"}, "expected FILE:LINE"),
     ],
 )

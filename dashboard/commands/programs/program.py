@@ -16,13 +16,17 @@ from rich.table import Table
 
 from dashboard.analysis.kernel_study import PROGRAM_RESULTS, WAYS, OutcomeShare, short_lines
 from dashboard.terminal.options import as_json
+from deploy.config.written_faults import fault_fields
 from deploy.errors import BadSpecError
+from deploy.kernel_study.program_study import changed_study
 from injector.kernel_study.results import StudyRun
 from zenfi import programs
-from zenfi.programs import LIMIT_S, ProgramStudy
+from zenfi.programs import LIMIT_S, ProgramStudy, ProgramStudySpec
 
 _GROUPS = 12
 _CAUSES = 8
+_BESIDE_A_FILE = ("file", "runs", "fault", "seed", "limit_s", "slots", "output", "ways", "as_json")
+"""Options that go with --spec: all others describe the program."""
 
 
 @click.group()
@@ -62,7 +66,33 @@ limit = click.option(
 )
 
 
+def _from_file(file: Path) -> ProgramStudySpec:
+    """The study in a file, with the numbers and the fault that were given beside it."""
+    context = click.get_current_context()
+    given = {
+        one.name: context.params[one.name]
+        for one in context.command.params
+        if one.name and context.get_parameter_source(one.name) == click.core.ParameterSource.COMMANDLINE
+    }
+    for one in context.command.params:
+        if one.name in given and one.name not in _BESIDE_A_FILE:
+            what = one.opts[0] if isinstance(one, click.Option) else "COMMAND"
+            message = f"{what}: with --spec it is in the file: leave it out, or write it into {file}"
+            raise BadSpecError(message)
+    spec = programs.load(file)
+    changed = {name: given[name] for name in ("runs", "seed", "limit_s") if name in given}
+    fault = fault_fields(given["fault"]) if "fault" in given else None
+    return changed_study(spec, fault, **changed)
+
+
 @program.command(context_settings={"ignore_unknown_options": True})
+@click.option(
+    "--spec",
+    "file",
+    metavar="FILE.toml",
+    type=click.Path(path_type=Path),
+    help="The study, in place of COMMAND and the options that describe it.",
+)
 @click.option("--runs", type=click.IntRange(1, 10_000_000), default=1000, show_default=True)
 @click.option("--fault", default="", metavar="NAME=VALUE[,...]", help="What is flipped, e.g. bits=2.")
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
@@ -94,9 +124,10 @@ limit = click.option(
     "--by", "ways", multiple=True, type=click.Choice(list(WAYS)), help="Tables by what was corrupted."
 )
 @as_json
-@click.argument("command", nargs=-1, required=True, type=click.UNPROCESSED)
+@click.argument("command", nargs=-1, type=click.UNPROCESSED)
 def run(
     *,
+    file: Path | None,
     runs: int,
     fault: str,
     seed: int,
@@ -122,6 +153,9 @@ def run(
 ) -> None:
     """Run a program many times, each time with one fault: zenfi program run -- COMMAND ARGS.
 
+    With --spec FILE.toml the program and the study are in a file; --runs, --fault, --seed and --limit-s take
+    the place of those in it.
+
     It runs without a fault first, and once with its instructions counted. Each fault strikes one dynamic
     instruction of the whole run, libraries included; every one that the fault can strike is equally likely.
     Standard output, standard error, exit status and the files of --compare are compared with those of the run
@@ -129,6 +163,12 @@ def run(
 
     Exit status 0 if all runs were made, 2 if the program cannot be struck.
     """
+    if file is not None:
+        made = programs.make(_from_file(file), slots=slots, output=output)
+        _tell(made, ways, as_json=as_json)
+        return
+    if not command:
+        raise BadSpecError("a COMMAND is needed (zenfi program run -- COMMAND ARGS), or --spec FILE.toml")
     where, offset = _place(address, module)
     spec = programs.program(
         command,
@@ -149,6 +189,10 @@ def run(
     study = programs.run(
         spec, runs, seed=seed, slots=slots, fault=fault, output=output, limit_s=limit_s, progress=True
     )
+    _tell(study, ways, as_json=as_json)
+
+
+def _tell(study: ProgramStudy, ways: tuple[str, ...], *, as_json: bool) -> None:
     if as_json:
         for one in study.runs:
             click.echo(one.model_dump_json(by_alias=True))

@@ -55,12 +55,13 @@ def test_what_differs_is_named() -> None:
 
 def test_a_comparator_says_by_its_exit_status(tmp_path: Path) -> None:
     def says(script: str) -> bool:
-        return compared_by([sys.executable, "-c", script], tmp_path / "a", tmp_path / "b")
+        return compared_by([sys.executable, "-c", script], str(tmp_path), tmp_path / "a", tmp_path / "b")
 
     assert says("")
     assert says("import sys; assert sys.argv[1][-1] + sys.argv[2][-1] == 'ab'")
     assert not says("raise SystemExit(1)")
+    assert says(f"import os; assert os.getcwd() == {str(tmp_path.resolve())!r}")
     with pytest.raises(UnsuitableProgramError, match=r"exit status 3, expected 0 \(the same\) or 1"):
         says("raise SystemExit(3)")
     with pytest.raises(UnsuitableProgramError, match="no-such-comparator"):
-        compared_by(["no-such-comparator"], tmp_path, tmp_path)
+        compared_by(["no-such-comparator"], str(tmp_path), tmp_path, tmp_path)

@@ -138,7 +138,7 @@ def test_what_cannot_be_judged_is_refused(command: list[str], more: dict[str, ob
 
 def test_files_are_compared_in_a_folder_of_the_run(tmp_path: Path) -> None:
     (tmp_path / "data").write_bytes(b"data" * 100)
-    spec = spec_of(["gzip", "-n", "data"], folder=str(tmp_path), inputs=("data",), outputs=("data.gz",))
+    spec = spec_of(["gzip", "-n", "data"], folder=str(tmp_path), inputs=("data",), compare=("data.gz",))
     with injector_of(spec) as injector:
         _, points = injector.draw(FAULT, 1, range(40))
         causes = {run.cause for _, run in injector.run(points, FAULT, 1) if run.result == "sdc"}

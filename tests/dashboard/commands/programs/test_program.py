@@ -66,6 +66,27 @@ int main(void) {
     assert (status, out.count(f" at {tmp_path}/sums.c:5\n")) == (1, 4)
 
 
+def test_a_file_says_what_the_options_say(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "hello.toml"
+    file.write_text(
+        'runs = 9\nseed = 3\n[program]\ncommand = ["echo", "-n", "hello"]\nmodule = "libc.so.6"\n'
+    )
+    asked = ("--json", "--slots", "1")
+    status, by_file, _ = said(capsys, "run", "--spec", str(file), "--runs", "4", *asked)
+    assert status == 0
+    options = ("--runs", "4", "--seed", "3", "--module", "libc.so.6")
+    _, by_options, _ = said(capsys, "run", *options, *asked, "--", "echo", "-n", "hello")
+    assert by_file.splitlines()[:4] == by_options.splitlines()[:4]
+    for more, problem in (
+        (("--module", "x"), "--module: with --spec it is in the file"),
+        (("--", "echo"), "COMMAND: with --spec it is in the file"),
+        (("--fault", "bits=99"), "fault.bits: "),
+    ):
+        status, out, err = said(capsys, "run", "--spec", str(file), *more)
+        assert (status, out, err.count("\n")) == (2, "", 1)
+        assert problem in err
+
+
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
@@ -76,6 +97,7 @@ int main(void) {
         (("run", "--fault", "colour=red", "--", "true"), "colour"),
         (("run", "--runs", "0", "--", "true"), "--runs"),
         (("run",), "COMMAND"),
+        (("run", "--spec", "/no/such/file.toml"), "/no/such/file.toml: No such file"),
         (("replay", "/no/such/file"), "/no/such/file"),
     ],
 )
