@@ -13,6 +13,8 @@ import uvicorn
 from dashboard.api.app import make_app
 from dashboard.api.processes.campaign_runner import CampaignRunner
 from dashboard.api.processes.event_bus import EventBus
+from dashboard.api.processes.program_runner import ProgramRunner
+from dashboard.api.processes.program_studies import FOLDER, ProgramStudies, allowed_programs
 from dashboard.api.programs import named
 from dashboard.api.routes.metrics import log_to_stderr
 from dashboard.api.security import is_loopback, token_hash
@@ -37,24 +39,34 @@ class _Server(uvicorn.Server):
         self.should_exit = True
 
 
-def serve(where: str, host: str, port: int, slots: int | None, stacks: Sequence[Path] = ()) -> None:
+def serve(
+    where: str,
+    host: str,
+    port: int,
+    slots: int | None,
+    stacks: Sequence[Path] = (),
+    programs_in: Path | None = None,
+) -> None:
     """Serve until SIGTERM or SIGINT; campaigns are then paused, and gone on with by the next life.
 
-    Who asks may have the programs in the files ``stacks`` flown, and no others.
+    Who asks may have the programs in the files ``stacks`` flown, and no others; and runs struck of the
+    programs in the files of the folder ``programs_in``.
 
-    :raises BadSpecError: if the store or the address cannot be had, or a file is no stack.
+    :raises BadSpecError: if the store or the address cannot be had, or a file is not what it should be.
     """
     from dashboard.web.site import mount  # noqa: PLC0415 - slow to import, and only a server has pages
 
     log_to_stderr()
     programs = named(stacks)
+    allowed = allowed_programs(programs_in) if programs_in is not None else {}
     with contextlib.ExitStack() as stack:
         store = stack.enter_context(contextlib.closing(Store(where)))
         store.database.refuse_read_only()
         token = _token(store, host)
         listening = stack.enter_context(contextlib.closing(_listen(host, port)))
         event_bus = EventBus()
-        service = Service(store, event_bus, CampaignRunner(store, event_bus, slots), programs)
+        studies = ProgramRunner(ProgramStudies(store.folder / FOLDER, allowed), event_bus, slots)
+        service = Service(store, event_bus, CampaignRunner(store, event_bus, slots), studies, programs)
         app = make_app(service, token, loopback=is_loopback(host))
         mount(app, service)
         config = uvicorn.Config(
@@ -69,10 +81,13 @@ def serve(where: str, host: str, port: int, slots: int | None, stacks: Sequence[
             ws_per_message_deflate=False,
         )
         service.runner.start()
+        studies.start()
         try:
             _Server(config, event_bus).run([listening])
         finally:
+            studies.leave()
             service.runner.stop()
+            studies.stop()
 
 
 def _token(store: Store, host: str) -> str:

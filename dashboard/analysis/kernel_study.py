@@ -38,8 +38,8 @@ class OutcomeShare(Strict):
     high: float
 
 
-class KernelSummary(Strict):
-    """One kernel's outcomes. Rates are of what was made now, not of what was kept from before.
+class StudySummary(Strict):
+    """The outcomes of a kernel's or program's runs so far.
 
     ``deviations``: median, 95th percentile and maximum of the largest difference of a value, in the kernel's
     ``unit``, over silent corruption that has one (``measured``). ``length``: the call's instructions, and
@@ -57,8 +57,65 @@ class KernelSummary(Strict):
     precisions: dict[str, int]
     length: CallLength
     not_injected: dict[str, int]
+
+
+class KernelSummary(StudySummary):
+    """One kernel's outcomes, with rates of what was made now, not of what was kept from before."""
+
     per_second: float
     cpu_ms: float
+
+
+class StudyTally:
+    """Counts of a study's runs, by outcome, cause and what was struck; each run is added as it is made."""
+
+    def __init__(self, results: Sequence[StudyResult] = RESULTS) -> None:
+        self._results = results
+        self.counts: Counter[str] = Counter()
+        self.causes: Counter[tuple[str, str]] = Counter()
+        """By result and cause, of runs that have one or were not injected."""
+        self._precisions: Counter[str] = Counter()
+        self._tolerable = 0
+        self._apart: list[float] = []
+        self._groups: dict[str, dict[str, Counter[str]]] = {way: defaultdict(Counter) for way in WAYS}
+
+    def add(self, run: StudyRun) -> None:
+        """Count one more run."""
+        self.counts[run.result] += 1
+        if run.cause or run.result == "not_injected":
+            self.causes[run.result, run.cause] += 1
+        self._precisions[run.injection.precision] += 1
+        self._tolerable += run.within_tolerance
+        if run.deviation is not None:
+            self._apart.append(run.deviation)
+        if run.result in self._results:
+            for way, group in WAYS.items():
+                self._groups[way][group(run.injection)][run.result] += 1
+
+    def summary(self, kernel: str, unit: str, length: CallLength) -> StudySummary:
+        """The summary of the runs that were added."""
+        apart = self._apart
+        return StudySummary(
+            kernel=kernel,
+            attempted=self.counts.total(),
+            injected=sum(self.counts[result] for result in self._results),
+            shares=shares_of(self.counts, self._results),
+            tolerable_sdc=self._tolerable,
+            unit=unit,
+            measured=len(apart),
+            deviations=tuple(float(one) for one in np.quantile(apart, (0.5, 0.95, 1.0))) if apart else None,
+            precisions=dict(self._precisions),
+            length=length,
+            not_injected={
+                cause: count for (result, cause), count in self.causes.items() if result == "not_injected"
+            },
+        )
+
+    def divided(self, way: str) -> list[tuple[str, int, dict[str, OutcomeShare]]]:
+        """Groups of the injected by one of :data:`WAYS`: name, number, shares; the largest first."""
+        groups = self._groups[way]
+        order = sorted(groups, key=lambda name: (-groups[name].total(), name))
+        return [(name, groups[name].total(), shares_of(groups[name], self._results)) for name in order]
 
 
 def summarise(
@@ -71,34 +128,30 @@ def summarise(
     results: Sequence[StudyResult] = RESULTS,
 ) -> KernelSummary:
     """The summary of a kernel's or program's runs."""
-    found = Counter(run.result for run in runs)
-    injected = sum(found[result] for result in results)
-    apart = [run.deviation for run in runs if run.deviation is not None]
-    return KernelSummary(
-        kernel=kernel,
-        attempted=len(runs),
-        injected=injected,
-        shares=shares(runs, results),
-        tolerable_sdc=sum(run.within_tolerance for run in runs),
-        unit=unit,
-        measured=len(apart),
-        deviations=tuple(float(one) for one in np.quantile(apart, (0.5, 0.95, 1.0))) if apart else None,
-        precisions=dict(Counter(run.injection.precision for run in runs)),
-        length=length,
-        not_injected=dict(Counter(run.cause for run in runs if run.result == "not_injected")),
-        per_second=per_second,
-        cpu_ms=cpu_ms,
-    )
+    told = _tally(runs, results).summary(kernel, unit, length)
+    return KernelSummary(**dict(told), per_second=per_second, cpu_ms=cpu_ms)
+
+
+def _tally(runs: Sequence[StudyRun], results: Sequence[StudyResult]) -> StudyTally:
+    tally = StudyTally(results)
+    for run in runs:
+        tally.add(run)
+    return tally
 
 
 def shares(runs: Sequence[StudyRun], results: Sequence[StudyResult] = RESULTS) -> dict[str, OutcomeShare]:
     """Of each result among the injected."""
-    found = Counter(run.result for run in runs)
-    injected = sum(found[result] for result in results)
+    return shares_of(Counter(run.result for run in runs), results)
+
+
+def shares_of(found: Mapping[str, int], results: Sequence[StudyResult] = RESULTS) -> dict[str, OutcomeShare]:
+    """Of each result among the injected, of which there are so many with each."""
+    injected = sum(found.get(result, 0) for result in results)
     told: dict[str, OutcomeShare] = {}
     for result in results:
-        low, high = wilson(found[result], injected)
-        told[result] = OutcomeShare(count=found[result], low=low, high=high)
+        count = found.get(result, 0)
+        low, high = wilson(count, injected)
+        told[result] = OutcomeShare(count=count, low=low, high=high)
     return told
 
 
@@ -138,12 +191,7 @@ def divided(
     runs: Sequence[StudyRun], way: str, results: Sequence[StudyResult] = RESULTS
 ) -> list[tuple[str, int, dict[str, OutcomeShare]]]:
     """Groups of the injected trials by what was corrupted: name, number, shares; the largest first."""
-    groups: dict[str, list[StudyRun]] = defaultdict(list)
-    for run in runs:
-        if run.result in results:
-            groups[WAYS[way](run.injection)].append(run)
-    order = sorted(groups, key=lambda name: (-len(groups[name]), name))
-    return [(name, len(groups[name]), shares(groups[name], results)) for name in order]
+    return _tally(runs, results).divided(way)
 
 
 def short_lines(lines: Sequence[str]) -> list[str]:

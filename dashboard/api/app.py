@@ -21,6 +21,7 @@ from dashboard.api.routes import (
     health,
     metrics,
     nodes,
+    program_studies,
     recordings,
     results,
     runs,
@@ -61,7 +62,10 @@ def make_app(
     )
     app.state.service, app.state.token = service, token
     api = APIRouter(prefix="/api/v1", responses=EVERYWHERE)
-    for part in (streaming, runs, recordings, results, campaigns, flights, catalogue, nodes, health):
+    for part in (
+        *(streaming, runs, recordings, results, campaigns),
+        *(flights, program_studies, catalogue, nodes, health),
+    ):
         api.include_router(part.router)
     app.include_router(api)
     app.include_router(health.for_all, responses=EVERYWHERE)

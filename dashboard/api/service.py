@@ -1,8 +1,8 @@
-"""What every endpoint needs: the store, the event_bus, the runner."""
+"""What every endpoint needs: the store, the event_bus, the runners."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 from fastapi import Depends
@@ -10,6 +10,8 @@ from starlette.requests import HTTPConnection
 
 from dashboard.api.processes.campaign_runner import CampaignRunner
 from dashboard.api.processes.event_bus import EventBus
+from dashboard.api.processes.program_runner import ProgramRunner
+from dashboard.api.processes.study_reader import StudyReaders
 from dashboard.api.programs import Programs
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
@@ -17,12 +19,14 @@ from dashboard.campaigns.store.store import Store
 
 @dataclass(frozen=True, slots=True)
 class Service:
-    """One life of the service; ``programs`` are those that may be asked for."""
+    """One life of the service; ``programs`` are those that may be asked for as stages of a flight."""
 
     store: Store
     event_bus: EventBus
     runner: CampaignRunner
+    program_studies: ProgramRunner
     programs: Programs = frozenset()
+    study_readers: StudyReaders = field(default_factory=StudyReaders)
 
 
 def _service(connection: HTTPConnection) -> Service:

@@ -26,13 +26,26 @@ from dashboard.terminal.options import in_store
     type=click.Path(path_type=Path),
     help="Programs of your own that may be asked for over HTTP; no others are run. May be repeated.",
 )
+@click.option(
+    "--programs",
+    metavar="FOLDER",
+    type=click.Path(path_type=Path),
+    help="Programs that may be struck: each TOML file in it is a study (zenfi program run --spec).",
+)
 @in_slots
 @in_store
-def serve(host: str, port: int, stacks: tuple[Path, ...], slots: int | None, store: str) -> None:
+def serve(
+    host: str,
+    port: int,
+    stacks: tuple[Path, ...],
+    programs: Path | None,
+    slots: int | None,
+    store: str,
+) -> None:
     """Serve the REST API, and fly the campaigns that it is asked for, until SIGTERM."""
     from dashboard.server import serve as run  # noqa: PLC0415 - slow to import, needed here alone
 
-    run(store, host, port, slots, stacks)
+    run(store, host, port, slots, stacks, programs)
 
 
 @click.command()

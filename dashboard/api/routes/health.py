@@ -68,7 +68,7 @@ def read_state(service: ServiceDep) -> ServiceState:
     store, runner = service.store, service.runner
     return ServiceState(
         trouble=_trouble(service),
-        lanes=runner.lanes,
+        lanes=[*runner.lanes, service.program_studies.state],
         store=StoreState(
             place=store.place, file=store.database.file, form=REVISION, free_mb=_free_mb(service)
         ),

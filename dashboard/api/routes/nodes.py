@@ -31,7 +31,7 @@ TAIL_BYTES = 2000
 
 
 class ProcessInfo(Strict):
-    """A process of the service; ``campaign`` names the campaign that it flies, if any."""
+    """A process of the service; ``campaign`` names the campaign or study that it makes, if any."""
 
     pid: int
     parent: int
@@ -71,7 +71,8 @@ def list_processes(service: ServiceDep) -> ProcessList:
 
 
 def _own(service: Service) -> list[ProcessInfo]:
-    campaigns = {pid: label for label, pid in service.runner.processes.items()}
+    processes = service.runner.processes | service.program_studies.processes
+    campaigns = {pid: label for label, pid in processes.items()}
     return [one.model_copy(update={"campaign": campaigns.get(one.pid, "")}) for one in family(os.getpid())]
 
 

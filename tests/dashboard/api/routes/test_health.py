@@ -15,7 +15,7 @@ from dashboard.campaigns.store.store import Store
 from dashboard.client import Client
 from services.models.mission import Limits, MissionSpec
 from tests.conftest import wait_until
-from tests.dashboard.api.asking import ask, make
+from tests.dashboard.api.asking import ask, make, waiting
 from tests.dashboard.api.conftest import PATIENCE_S, Serving
 
 STATE = "/api/v1/state"
@@ -36,6 +36,7 @@ def test_it_tells_lanes_store_and_the_last_flight(service: Serving, client: Clie
     assert [(lane.name, lane.alive, lane.failures) for lane in told.lanes] == [
         ("campaigns", True, 0),
         ("flights", True, 0),
+        ("programs", True, 0),
     ]
     assert told.last_flight is not None
     assert told.last_flight.campaign == label
@@ -53,7 +54,8 @@ def test_others_are_told_nothing_but_whether_it_works(store: Store) -> None:
 def test_without_room_for_results_it_takes_none(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     event_bus = EventBus()
     runner = CampaignRunner(store, event_bus, 1)
-    app = make_app(Service(store, event_bus, runner), user_of=lambda _peer, _ours: os.getuid())
+    service = Service(store, event_bus, runner, waiting(store, event_bus))
+    app = make_app(service, user_of=lambda _peer, _ours: os.getuid())
     runner.start()
     try:
         assert ask(app, "/ready").status_code == 200

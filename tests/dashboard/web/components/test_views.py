@@ -22,6 +22,7 @@ from dashboard.web.charts import figures
 from dashboard.web.components.findings import InjectionFindings
 from dashboard.web.components.views import SharedValue, WatchedCampaign
 from services.models.faults.specification import FaultSpec
+from tests.dashboard.api.asking import waiting
 from tests.dashboard.campaigns.store.test_store import outcome
 
 CELL = Cell("arm", "sparse", "")
@@ -136,7 +137,7 @@ def test_many_who_look_at_a_campaign_are_shown_the_same_figures_and_runs(tmp_pat
         states = store.states(found)
         store.write(found, states, [], {next(iter(states.runs)): outcome()})
         event_bus = EventBus()
-        here = Service(store, event_bus, CampaignRunner(store, event_bus, 1))
+        here = Service(store, event_bus, CampaignRunner(store, event_bus, 1), waiting(store, event_bus))
         for seen in asyncio.run(look(WatchedCampaign(here, found.label))):
             assert all(one is seen[0] for one in seen)
 
