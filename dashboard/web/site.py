@@ -15,9 +15,21 @@ from starlette.types import Message, Receive, Scope, Send
 from dashboard.api.service import Service
 from dashboard.web.charts import flight_style
 from dashboard.web.components import frame
-from dashboard.web.pages import campaign, compare, home, live, login, new, run, studies, system
+from dashboard.web.pages import (
+    campaign,
+    compare,
+    home,
+    live,
+    login,
+    new,
+    program_study,
+    programs,
+    run,
+    studies,
+    system,
+)
 
-PAGES = (home, new, campaign, run, live, compare, studies, system)
+PAGES = (home, new, campaign, run, live, programs, program_study, compare, studies, system)
 """A module per page; each has ``register(service)``."""
 
 NOT_PAGES = ("/api/", "/health", "/ready", "/metrics")

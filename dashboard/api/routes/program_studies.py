@@ -149,7 +149,7 @@ def _struck(program: str, spec: ProgramStudySpec) -> StruckProgram:
 
 
 def study_line(service: Service, entry: StudyEntry) -> ProgramStudyLine:
-    """Where a study stands now."""
+    """The phase and the progress of a study."""
     studies = service.program_studies.studies
     return ProgramStudyLine(
         study=entry.label,

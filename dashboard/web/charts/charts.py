@@ -31,6 +31,7 @@ RESULT_COLOURS: Mapping[str, str] = {
     "sdc": ORANGE,
     "unpaired": YELLOW,
     "crash": VERMILION,
+    "detected": BLUE,
     "hang": PURPLE,
 }
 """Of missions and of nodes."""

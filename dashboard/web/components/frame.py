@@ -22,6 +22,7 @@ from deploy.errors import BadSpecError, InfrastructureError, one_line
 NAVIGATION = (
     ("Campaigns", "/"),
     ("Live", "/live"),
+    ("Programs", "/programs"),
     ("Compare", "/compare"),
     ("Studies", "/studies"),
     ("System", "/system"),

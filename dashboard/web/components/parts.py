@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import UTC, datetime
 
 from nicegui import ui
+
+
+def minute(stamp: str) -> str:
+    """A moment as people write it, to the minute."""
+    return f"{datetime.fromisoformat(stamp).astimezone(UTC):%Y-%m-%d %H:%M} UTC"
 
 
 def facts(told: Mapping[str, str]) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 from fastapi import Response
@@ -70,41 +71,48 @@ def time_left(service: Service, spec: CampaignSpec, line: CampaignLine) -> str:
 
 
 class Progress:
-    """Phase, bar and words; :meth:`show` brings them up to date."""
+    """Phase, bar and words; :meth:`show` brings them up to date. A run that is over is ``done`` (flown)."""
 
-    def __init__(self) -> None:
+    def __init__(self, done: str = "flown") -> None:
+        self._done = done
         with ui.row().classes("progress"):
             self._phase = ui.label().classes("phase")
             self._words = ui.label().classes("words")
         self._bar = ui.linear_progress(show_value=False, size="8px").props(
-            'aria-label="flown" instant-feedback'
+            f'aria-label="{done}" instant-feedback'
         )
         self._reason = ui.label().classes("reason")
 
     def show(self, line: CampaignLine, left: str, trouble: str = "") -> None:
         """Show the present progress of the campaign."""
-        words = f"{line.done} of {line.runs} flown"
-        words += f", {line.failed} could not be flown" if line.failed else ""
-        self._phase.set_text(line.phase)
-        self._phase.classes(replace=f"phase phase-{line.phase}")
-        self._words.set_text(", ".join(filter(None, (words, left))))
-        self._bar.set_value(round((line.done + line.failed) / max(line.runs, 1), 4))
-        reason = trouble or (line.reason if line.reason != line.phase else "")
+        words = f", {line.failed} could not be flown" if line.failed else ""
+        words += f", {left}" if left else ""
+        self.show_counts(line.phase, line.done, line.runs, trouble or line.reason, words, line.failed)
+
+    def show_counts(
+        self, phase: str, done: int, runs: int, reason: str, words: str = "", failed: int = 0
+    ) -> None:
+        """Show how many of the runs are over; ``words`` follow on their number."""
+        self._phase.set_text(phase)
+        self._phase.classes(replace=f"phase phase-{phase}")
+        self._words.set_text(f"{done} of {runs} {self._done}{words}")
+        self._bar.set_value(round((done + failed) / max(runs, 1), 4))
+        reason = reason if reason != phase else ""
         self._reason.set_text(reason)
         self._reason.set_visibility(bool(reason))
 
 
-class Actions:
-    """Buttons for what can be done with a campaign in its phase."""
+class Commands(ABC):
+    """Buttons for what can be done with something in its phase; those ``always`` there come last."""
 
-    def __init__(self, service: Service, label: str, deleted: Callable[[], None]) -> None:
-        self._service, self._label, self._deleted = service, label, deleted
+    def __init__(self, label: str, always: Sequence[str]) -> None:
+        self._label, self._always = label, always
         with ui.row().classes("commands").props(f'role="group" aria-label="Commands for {label}"'):
-            self._buttons = {name: self._button(name) for name in (*ACTIONS, "clone")}
+            self._buttons = {name: self._button(name) for name in ("pause", "resume", "cancel", *always)}
 
     def show(self, phase: str) -> None:
         """Offer what goes with a phase."""
-        offered = (*OFFERED.get(phase, ()), "clone", "delete")
+        offered = (*OFFERED.get(phase, ()), *self._always)
         for name, button in self._buttons.items():
             button.set_visibility(name in offered)
 
@@ -114,6 +122,18 @@ class Actions:
 
         button = ui.button(icon=ICONS[name], on_click=told(press)).props("flat round dense")
         return button.props(f'aria-label="{name}"').tooltip(name)
+
+    @abstractmethod
+    async def _act(self, name: str) -> None:
+        """Do what a button says."""
+
+
+class Actions(Commands):
+    """Buttons for what can be done with a campaign in its phase."""
+
+    def __init__(self, service: Service, label: str, deleted: Callable[[], None]) -> None:
+        self._service, self._deleted = service, deleted
+        super().__init__(label, ("delete", "clone"))
 
     async def _act(self, name: str) -> None:
         if name == "clone":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from datetime import UTC, datetime
 from functools import partial
 
 from nicegui import ui
@@ -19,6 +18,7 @@ from dashboard.web.components.breakdown import Breakdown, fill, show
 from dashboard.web.components.browser import while_in_front
 from dashboard.web.components.findings import QUALITY_TITLES, Findings, InjectionFindings
 from dashboard.web.components.frame import REFUSED, find, frame, nothing, section, trouble
+from dashboard.web.components.parts import minute
 from dashboard.web.components.progress import Actions, Progress
 from dashboard.web.components.quality_tables import (
     BESIDE_NOTE,
@@ -145,7 +145,7 @@ class CampaignPage:
         label = self._campaign.label
         with ui.element("article").classes("card"):
             with ui.row().classes("card-head"):
-                ui.label(f"asked for at {_at(self._campaign.created)}").classes("note")
+                ui.label(f"asked for at {minute(self._campaign.created)}").classes("note")
                 ui.space()
                 self._actions = Actions(self._service, label, lambda: ui.navigate.to("/"))
             self._progress = Progress()
@@ -176,11 +176,6 @@ class CampaignPage:
         self._nodes_place.set_visibility(findings.nodes is not None)
         if findings.nodes is not None:
             show(self._nodes, findings.nodes)
-
-
-def _at(stamp: str) -> str:
-    """A moment as people write it."""
-    return f"{datetime.fromisoformat(stamp).astimezone(UTC):%Y-%m-%d %H:%M} UTC"
 
 
 def _kept(status: CampaignDetail) -> str:

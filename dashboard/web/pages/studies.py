@@ -19,6 +19,7 @@ from dashboard.campaigns.store.store import Store
 from dashboard.web.charts import charts
 from dashboard.web.components.breakdown import draw
 from dashboard.web.components.frame import REFUSED, ask, frame, nothing, section, trouble
+from dashboard.web.components.outcome_shares import in_words
 from dashboard.web.components.quality_tables import Row, table
 from deploy.kernel_study.file import kept_runs
 from injector.kernel_study.results import StudyRun
@@ -159,7 +160,7 @@ def _kernels(path: Path, found: dict[str, list[StudyRun]]) -> None:
         words = "What became of kernels, of the injected, per cent"
         draw(chart, charts.stacked(list(found), counts, "of the injected, %", words), len(found))
         shown = table((("kernel", "kernel"), *((name, f"{name}, % (95 %)") for name in RESULTS)))
-        shown.rows = [{"kernel": kernel} | _shares(runs) for kernel, runs in found.items()]
+        shown.rows = [{"kernel": kernel} | in_words(shares(runs)) for kernel, runs in found.items()]
         claimed = table((("what", "what"), ("paper", "paper"), ("ours", "ours, % (95 %)")))
         claimed.rows = [dict(zip(("what", "paper", "ours"), line, strict=True)) for line in claims(found)]
 
@@ -175,7 +176,7 @@ def claims(found: dict[str, list[StudyRun]]) -> list[tuple[str, str, str]]:
         if not names:
             return "-"
         name = pick(names, key=lambda one: part(one, result))
-        return f"{name}: {_shares(found[name])[result]}"
+        return f"{name}: {in_words(shares(found[name]))[result]}"
 
     others = [name for name in found if name != "octomap"]
     planners = [name for name in found if name in PLANNERS]
@@ -189,15 +190,6 @@ def claims(found: dict[str, list[StudyRun]]) -> list[tuple[str, str, str]]:
         ("benign in the others, the smallest", "more than 25 %", ours(others, "benign", min)),
         ("least silent corruption of the planners", "rrt_star", ours(planners, "sdc", min)),
     ]
-
-
-def _shares(runs: list[StudyRun]) -> Row:
-    told = shares(runs)
-    total = max(sum(share.count for share in told.values()), 1)
-    return {
-        name: f"{100 * share.count / total:.1f} ({100 * share.low:.1f} to {100 * share.high:.1f})"
-        for name, share in told.items()
-    }
 
 
 def _between(value: float | None, interval: Interval | None) -> str:
