@@ -80,7 +80,7 @@ class StudyTally:
         self._groups: dict[str, dict[str, Counter[str]]] = {way: defaultdict(Counter) for way in WAYS}
 
     def add(self, run: StudyRun) -> None:
-        """Count one more run."""
+        """Count the outcome of one more run."""
         self.counts[run.result] += 1
         if run.cause or run.result == "not_injected":
             self.causes[run.result, run.cause] += 1

@@ -125,7 +125,7 @@ class Commands(ABC):
 
     @abstractmethod
     async def _act(self, name: str) -> None:
-        """Do what a button says."""
+        """Do what the button of that name says."""
 
 
 class Actions(Commands):

@@ -243,13 +243,13 @@ def _first(runs: Path) -> list[StudyRun]:
 
 def test_what_is_no_longer_allowed_is_not_gone_on_with(tmp_path: Path, folder: Path) -> None:
     studies = ProgramStudies(tmp_path / FOLDER, allowed_programs(folder))
-    studies.create("long", studies.allowed["long"], None, "")
+    studies.create("hello", studies.allowed["hello"], None, "")
     with serving(tmp_path) as one, Client(one.address) as client:
-        halted = ended(client, "long-1")
+        halted = ended(client, "hello-1")
         assert (halted.phase, halted.done) == ("paused", 0)
         assert "no longer a program that may be struck" in halted.reason
         with pytest.raises(RequestRefusedError, match="--programs FOLDER") as refused:
-            client.program_studies.command("long-1", "resume")
+            client.program_studies.command("hello-1", "resume")
         assert refused.value.problem.status == 403
 
 
