@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import mmap
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     from injector.tracing.compiled_functions import CompiledFunction, CompiledFunctions
     from injector.tracing.source_lines import SourceLines
 
-_PT_LOAD, _PT_NOTE = 1, 4
+_PT_LOAD, _PT_NOTE, _PF_X = 1, 4, 1
 _SHT_PROGBITS, _SHT_SYMTAB, _SHT_DYNSYM = 1, 2, 11
+_TABLES = (_SHT_SYMTAB, _SHT_DYNSYM)
 _SHF_EXECINSTR = 4
-_PF_X = 1
 _NT_GNU_BUILD_ID = 3
 _FUNCTIONS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
 _HEADER = struct.Struct("<16sHHIQQQIHHHHHH")
@@ -193,10 +193,11 @@ def locate(
     return None
 
 
-def functions(pid: int, mapping: MemoryMapping) -> Iterator[tuple[str, int]]:
+def functions(pid: int, mapping: MemoryMapping, *, exported: bool = False) -> Iterator[tuple[str, int]]:
     """Name and address of every function that the file behind a piece of code defines and tells of.
 
-    Those that are chosen when the file is loaded (STT_GNU_IFUNC) are left out.
+    Those that are chosen when the file is loaded (STT_GNU_IFUNC) are left out; with ``exported``, those too
+    that the file does not offer to others.
     """
     content = file_content(pid, mapping.path)
     if content is None or content[:6] != b"\x7fELF\x02\x01":
@@ -207,7 +208,8 @@ def functions(pid: int, mapping: MemoryMapping) -> Iterator[tuple[str, int]]:
         for start, end, shift in _shifts(content)
         if start <= mapping.offset < end
     ]
-    for names, table in _tables(content, sections, section_count) if loaded else ():
+    kinds = _TABLES[1:] if exported else _TABLES
+    for names, table in _tables(content, sections, section_count, kinds) if loaded else ():
         for symbol in table[(table["info"] & 15 == _FUNCTIONS[0]) & (table["section"] != 0)]:
             address = loaded[-1] + int(symbol["value"])
             if mapping.start <= address < mapping.end:
@@ -287,10 +289,12 @@ def build_id_in(notes: bytes) -> str:
     return ""
 
 
-def _tables(content: mmap.mmap, sections: int, count: int) -> Iterator[tuple[int, NDArray[np.void]]]:
+def _tables(
+    content: mmap.mmap, sections: int, count: int, kinds: Sequence[int] = _TABLES
+) -> Iterator[tuple[int, NDArray[np.void]]]:
     """Each table of symbols, after where the names begin that it refers to."""
     headers = [_SECTION.unpack_from(content, sections + at * _SECTION.size) for at in range(count)]
-    for wanted in (_SHT_SYMTAB, _SHT_DYNSYM):
+    for wanted in kinds:
         for _, kind, _, _, start, size, link, _, _, _ in headers:
             if kind == wanted:
                 table = np.frombuffer(content, _SYMBOL, size // _SYMBOL.itemsize, start)

@@ -184,9 +184,16 @@ class StepBreakpoint:
 
 
 def _give(descriptor: int, tid: int, notice: int) -> None:
-    """Have an event announced to a thread by a signal of our choice, with ``si_code`` POLL_HUP or POLL_IN."""
+    """Have an event announced to a thread by a signal of our choice, with ``si_code`` POLL_HUP or POLL_IN.
+
+    :raises GoneError: if the thread has ended.
+    """
     if notice:
-        fcntl.fcntl(descriptor, _F_SETOWN_EX, struct.pack("=ii", _OWNER_THREAD, tid))
+        try:
+            fcntl.fcntl(descriptor, _F_SETOWN_EX, struct.pack("=ii", _OWNER_THREAD, tid))
+        except ProcessLookupError as error:
+            message = f"thread {tid} has ended"
+            raise GoneError(message) from error
         fcntl.fcntl(descriptor, fcntl.F_SETSIG, notice)
         fcntl.fcntl(descriptor, fcntl.F_SETFL, os.O_ASYNC)
 
