@@ -9,12 +9,13 @@ from deploy.config.check import check_machine
 from deploy.config.written_faults import fault_fields
 from deploy.errors import BadSpecError, InfrastructureError
 from injector.attach.approach import AttachTarget
+from injector.attach.function_calls import CalledFunction
 from injector.attach.injection import ENDED, ProcessInjection, ended_before, inject_into
 from injector.attach.permission import AttachRefusedError, admit, check_thread, name_of
 from injector.faults.code_restorer import RestoredProcess
 from injector.tracing.perf_events import TriggerError
-from injector.tracing.process import Process, VanishedError, threads
-from injector.tracing.symbols import SymbolError, demangled, function_at, module_code
+from injector.tracing.process import MemoryMap, Process, VanishedError, threads
+from injector.tracing.symbols import SymbolError, copies_elsewhere, module_code, variants_of
 from injector.tracing.tracees import StopError
 from services.models.faults.specification import FaultSpec
 from services.runtime import rng
@@ -138,14 +139,13 @@ def inject_process(asked: InjectionRequest) -> ProcessInjection:
 
 
 def _attach_and_inject(asked: InjectionRequest, process: Process, fault: FaultSpec) -> ProcessInjection:
-    aim, function = _aim(asked, process)
+    aim = _aim(asked, process)
     return inject_into(
         process,
         aim,
         fault,
         rng.generator(asked.seed, "any process"),
         node=asked.node or "",
-        function=function,
         library=asked.module or "",
         dry_run=asked.dry_run,
         watch_s=asked.watch_s,
@@ -164,19 +164,19 @@ def _fault(asked: InjectionRequest, pid: int) -> FaultSpec:
     return spec
 
 
-def _aim(asked: InjectionRequest, process: Process) -> tuple[AttachTarget, str]:
-    """Where to inject, and the name of the function there, if one was asked for."""
+def _aim(asked: InjectionRequest, process: Process) -> AttachTarget:
+    """Where to inject."""
     if asked.thread is not None:
         check_thread(process.pid, asked.thread)
     maps = process.maps()
     if next(maps.code(), None) is None:  # one that is about to end has no memory any more
         raise VanishedError(ENDED)
     symbol, module = asked.symbol, asked.module
-    entry, mangled = function_at(process.pid, maps, symbol, module or "") if symbol else (0, "")
+    function = _function(process.pid, maps, symbol, module) if symbol else None
     every = (tuple(threads(process.pid)) if symbol else ()) or (process.pid,)
-    aim = AttachTarget(
+    return AttachTarget(
         tids=(asked.thread,) if asked.thread else every,
-        entry=entry,
+        function=function,
         code=module_code(maps, module) if module and not symbol else (),
         call=asked.call or (1, 1),
         step=asked.step,
@@ -184,4 +184,8 @@ def _aim(asked: InjectionRequest, process: Process) -> tuple[AttachTarget, str]:
         after_s=asked.after_s or (0.0, 0.0),
         limit_s=asked.limit_s,
     )
-    return aim, demangled(mangled)
+
+
+def _function(pid: int, maps: MemoryMap, symbol: str, module: str | None) -> CalledFunction:
+    variants = variants_of(pid, maps, symbol, module or "")
+    return CalledFunction(variants, copies_elsewhere(pid, maps, variants) if module else ())

@@ -76,6 +76,8 @@ def _moment(one: ProcessInjection, record: InjectionRecord) -> str:
         parts.append(f"of call {one.call} of {one.function}")
     if one.rehearsals:
         parts.append(f"{one.rehearsals} calls rehearsed")
+    if one.missed:
+        parts.append(f"{one.missed} calls over before the moment drawn for them")
     if record.resampled:
         parts.append(f"{record.resampled} passed over")
     return ", ".join(parts)

@@ -6,19 +6,27 @@ No probe of it can be sent ahead, so earlier calls of the function are observed 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from injector.attach.function_calls import (
+    CalledFunction,
+    CallFrame,
+    FunctionCalls,
+    address_of,
+    step,
+)
 from injector.attach.untrapped_tracees import UntrappedTracees
 from injector.faults.apply import apply_fault
 from injector.faults.approach import Approach, MissedError
 from injector.faults.corruption import Corruption
-from injector.faults.stopped_thread import InjectionResult, registers_of
+from injector.faults.stopped_thread import InjectionResult
 from injector.tracing.perf_events import Breakpoint, ThreadTimer
 from injector.tracing.process import MemoryMapping, Process
 from injector.tracing.tracee import Tracee
@@ -37,6 +45,9 @@ CPU_S = (0.0, 0.01)
 SAMPLE_NS = 1_000_000
 """Most thread time between two looks at whether a thread is in a library."""
 
+CALLS_LEFT = 8
+"""Calls that were left before they returned, after which no other one is observed."""
+
 _FOR_EVER_NS = 10**15
 
 
@@ -44,14 +55,14 @@ _FOR_EVER_NS = 10**15
 class AttachTarget:
     """Where in a process to inject. Pairs are ranges, ends included, of which one value is drawn.
 
-    A function's ``entry`` (0: none), or the ``code`` of a library (none: all). ``tids`` are the threads
+    A ``function``, or the ``code`` of a library (none: all). ``tids`` are the threads
     that come into question. ``call`` counts calls of the function from 1; ``step`` names the instruction of
     the call, ``cpu_s`` thread time after its beginning, or from now on. ``after_s`` is wall time before all
     that.
     """
 
     tids: tuple[int, ...]
-    entry: int = 0
+    function: CalledFunction | None = None
     code: Sequence[MemoryMapping] = ()
     call: tuple[int, int] = (1, 1)
     step: int | None = None
@@ -71,14 +82,11 @@ class ApproachReport:
     instructions: int | None = None
     cpu_ns: int | None = None
     rehearsals: int = 0
+    missed: int = 0
 
 
-@dataclass
-class _Frame:
-    """A call that is under way: where it returns to, and the stack pointer at its beginning."""
-
-    returns_to: int
-    stack: int
+class CallOverError(MissedError):
+    """A call was over before the drawn moment, or before something came that can be struck."""
 
 
 @dataclass
@@ -95,12 +103,18 @@ class AttachApproach(Approach):
     draw: np.random.Generator
     report: ApproachReport = field(default_factory=ApproachReport)
     _deadline: float = 0.0
+    _took_ns: int = 0
+
+    @cached_property
+    def _calls(self) -> FunctionCalls:
+        assert self.target.function is not None  # noqa: S101 - what is asked for is a call of one
+        return FunctionCalls(self.tracees, self.process, self.target.function, self.target.limit_s)
 
     def _run(self) -> InjectionResult:
         self._deadline = time.monotonic() + self.target.limit_s + self.target.after_s[1]
         self.report.tid = self.target.tids[0]
         self._wait(self._between(self.target.after_s))
-        if self.target.entry:
+        if self.target.function is not None:
             return self._in_a_call()
         thread = self._thread(self.target.tids[0])
         return self._in_a_library(thread) if self.target.code else self._after(thread, None)
@@ -115,15 +129,15 @@ class AttachApproach(Approach):
             self.report.precision, self.report.step = "exact", self.target.step
         elif self.target.cpu_s is None:
             threads = [self._rehearse(threads)]
-        if number > 1 and len(threads) > 1:  # calls are those of one thread: whose comes first
-            threads, number = [self._arrive(threads, 1)], number - 1
         thread = self._arrive(threads, number)
-        frame = self._frame(thread)
+        if self._took_ns:
+            return self._at_a_moment(thread)
+        frame = self._calls.frame(thread)
         if self.report.step is None:
             return self._after(thread, frame)
         for taken in range(self.report.step):
             self._step(thread)
-            if self._is_over(thread, frame):
+            if FunctionCalls.is_over(thread, frame):
                 raise MissedError(
                     "not_reached",
                     f"the call had {taken + 1} instructions, the drawn one is number {self.report.step}",
@@ -132,65 +146,57 @@ class AttachApproach(Approach):
 
     def _rehearse(self, threads: list[Tracee]) -> Tracee:
         """Learn from one or two calls how long they are, and draw a place; whose calls they were."""
-        thread = self._arrive(threads, 1)
-        frame = self._frame(thread)
-        with ThreadTimer(thread, _FOR_EVER_NS, self.tracees.notice) as timer:
-            self._return(thread, frame)
-            took_ns = timer.spent_ns
-        self.report.rehearsals = 1
-        self.report.cpu_ns = int(self.draw.random() * took_ns)
-        if took_ns > SHORT_NS:
+        thread, took_ns = self._timed(threads)
+        if took_ns <= SHORT_NS and self._stepped_through(thread):
             return thread
-        self._arrive([thread], 1)
-        frame = self._frame(thread)
-        self.report.rehearsals = 2
-        for taken in range(1, MOST_STEPS + 1):
-            self._step(thread)
-            if self._is_over(thread, frame):
-                self.report.precision, self.report.cpu_ns = "rehearsed", None
-                self.report.instructions, self.report.step = taken, int(self.draw.integers(taken))
-                return thread
-        self._return(thread, frame)
+        self._took_ns = took_ns
         return thread
 
-    def _arrive(self, threads: list[Tracee], hit: int) -> Tracee:
-        """Let all run until one of some threads stands at the function's beginning, the ``hit``-th time."""
-        for one in threads:
-            if one.report is not None and self._address(one) == self.target.entry:
-                self._step(one)
-        with ExitStack() as held:
-            for one in threads:
-                held.enter_context(Breakpoint(one, self.target.entry, hit, self.tracees.notice))
-            self.tracees.resume_all()
-            thread = self._await(threads, lambda one: self._address(one) == self.target.entry)
-        if thread is None:
-            calls = "a call" if hit == 1 else f"{hit} calls"
-            raise MissedError(
-                "not_reached", f"the function was not reached within {self.target.limit_s:g} s ({calls})"
-            )
+    def _timed(self, threads: list[Tracee]) -> tuple[Tracee, int]:
+        """A call that returned, and the thread time that it took; those that were left are passed over."""
+        for _ in range(CALLS_LEFT):
+            thread = self._arrive(threads, 1)
+            frame = self._calls.frame(thread)
+            self.report.rehearsals += 1
+            with ThreadTimer(thread, _FOR_EVER_NS, self.tracees.notice) as timer:
+                if self._calls.complete(thread, frame):
+                    return thread, timer.spent_ns
+        reason = f"{CALLS_LEFT} calls in a row were left by a jump or an exception: give --step or --cpu-s"
+        raise MissedError("not_reached", reason)
+
+    def _stepped_through(self, thread: Tracee) -> bool:
+        """Step through a call and draw one of its instructions; False if there are too many."""
+        self._arrive([thread], 1)
+        frame = self._calls.frame(thread)
+        self.report.rehearsals += 1
+        for taken in range(1, MOST_STEPS + 1):
+            self._step(thread)
+            if FunctionCalls.is_over(thread, frame):
+                self.report.precision = "rehearsed"
+                self.report.instructions, self.report.step = taken, int(self.draw.integers(taken))
+                return True
+        self._calls.complete(thread, frame)
+        return False
+
+    def _at_a_moment(self, thread: Tracee) -> InjectionResult:
+        """Inject at a drawn moment of a call; if that is over before, of the next one."""
+        while True:
+            self.report.cpu_ns = int(self.draw.random() * self._took_ns)
+            try:
+                return self._after(thread, self._calls.frame(thread))
+            except CallOverError:
+                self.report.missed += 1
+                self.report.call += 1
+            thread = self._arrive([thread], 1)
+
+    def _arrive(self, threads: list[Tracee], number: int) -> Tracee:
+        thread = self._calls.arrive(threads, number)
         self.report.tid = thread.tid
         return thread
 
-    def _return(self, thread: Tracee, frame: _Frame) -> None:
-        with Breakpoint(thread, frame.returns_to, 1, self.tracees.notice):
-            while not self._is_over(thread, frame):
-                self.tracees.resume_all()
-                if self._await([thread], lambda one: self._address(one) == frame.returns_to) is None:
-                    limit = f"within {self.target.limit_s:g} s"
-                    raise MissedError(
-                        "not_reached", f"the function did not return {limit}: give --step or --cpu-s"
-                    )
-
-    def _frame(self, thread: Tracee) -> _Frame:
-        stack = registers_of(thread).stack_pointer
-        return _Frame(int.from_bytes(self.process.read_memory(stack, 8), "little"), stack)
-
-    def _is_over(self, thread: Tracee, frame: _Frame) -> bool:
-        return registers_of(thread).stack_pointer > frame.stack
-
     # -- by time ------------------------------------------------------------------------------------
 
-    def _after(self, thread: Tracee, frame: _Frame | None) -> InjectionResult:
+    def _after(self, thread: Tracee, frame: CallFrame | None) -> InjectionResult:
         """Inject after some thread time, in a call if one is given; again if it is in a system call then."""
         if self.report.cpu_ns is None:
             self.report.cpu_ns = round(self._between(self.target.cpu_s or CPU_S) * 1e9)
@@ -224,32 +230,38 @@ class AttachApproach(Approach):
                 return replace(found, passed_over=found.passed_over + looks - 1)
 
     def _is_inside(self, thread: Tracee) -> bool:
-        address = self._address(thread)
+        address = address_of(thread)
         return any(one.start <= address < one.end for one in self.target.code)
 
-    def _run_for(self, thread: Tracee, cpu_ns: int, frame: _Frame | None) -> None:
+    def _run_for(self, thread: Tracee, cpu_ns: int, frame: CallFrame | None) -> None:
         """Let all run until a thread has used some time, or its call is over."""
         with ExitStack() as held:
             timer = held.enter_context(ThreadTimer(thread, cpu_ns, self.tracees.notice))
             if frame is not None:
                 held.enter_context(Breakpoint(thread, frame.returns_to, 1, self.tracees.notice))
+
+            def insist() -> None:
+                timer.insist()
+                if frame is not None and self._calls.is_left_asleep(thread, frame):
+                    raise CallOverError("not_reached", "the call was left, and its thread waits elsewhere")
+
             self.tracees.resume_all()
-            if self._await([thread], lambda _: True, timer.insist) is None:
+            if self.tracees.await_one([thread], lambda _: True, self._deadline, insist) is None:
                 used = f"used {timer.spent_ns / 1e9:.3g} s of processor time in {self.target.limit_s:g} s"
                 raise MissedError("not_reached", f"thread {thread.tid} {used}")
 
-    def _jitter_within(self, thread: Tracee, frame: _Frame | None) -> None:
+    def _jitter_within(self, thread: Tracee, frame: CallFrame | None) -> None:
         """Step on, but not out of the call: a timer does not trap at every instruction alike."""
 
         def check() -> None:
-            if frame is not None and self._is_over(thread, frame):
-                raise MissedError("not_reached", "the call ended before the drawn moment")
+            if frame is not None and FunctionCalls.is_over(thread, frame):
+                raise CallOverError("not_reached", "the call ended before the drawn moment")
 
         self._jitter(thread, self.process, self._step, check)
 
     # -- at the injection point ---------------------------------------------------------------------
 
-    def _inject(self, thread: Tracee, frame: _Frame) -> InjectionResult:
+    def _inject(self, thread: Tracee, frame: CallFrame) -> InjectionResult:
 
         def attempt(met: int) -> InjectionResult | None:
             if met:
@@ -259,10 +271,10 @@ class AttachApproach(Approach):
 
         return self._past_system_calls(attempt)
 
-    def _inject_once(self, thread: Tracee, frame: _Frame | None) -> InjectionResult | None:
+    def _inject_once(self, thread: Tracee, frame: CallFrame | None) -> InjectionResult | None:
         def within(*details: object) -> InjectionResult | None:
-            if frame is not None and self._is_over(thread, frame):
-                raise MissedError("not_activated", "nothing eligible until the call ended")
+            if frame is not None and FunctionCalls.is_over(thread, frame):
+                raise CallOverError("not_activated", "nothing eligible until the call ended")
             if self.target.code and not self._is_inside(thread):
                 raise MissedError("not_activated", "nothing eligible until the library was left")
             return self.corruption(*details)  # type: ignore[arg-type]
@@ -271,40 +283,12 @@ class AttachApproach(Approach):
         return apply_fault(self.tracees, thread, self.process, self.fault, self.draw, within)
 
     def _step(self, thread: Tracee) -> None:
-        end = self.tracees.step(thread)
-        if end != "stepped":
-            what = {"gone": "ended", "faulted": "raised a signal", "stuck": "waits in a system call"}
-            raise MissedError("failed", f"before the fault: thread {thread.tid} {what.get(end, end)}")
-
-    def _address(self, thread: Tracee) -> int:
-        return registers_of(thread).program_counter
+        step(self.tracees, thread)
 
     def _thread(self, tid: int) -> Tracee:
         if tid not in self.tracees.threads:
             raise MissedError("failed", f"before the fault: thread {tid} ended")
         return self.tracees.threads[tid]
-
-    def _await(
-        self,
-        threads: Sequence[Tracee],
-        right: Callable[[Tracee], bool],
-        insist: Callable[[], None] = lambda: None,
-    ) -> Tracee | None:
-        """Let all run until one of some threads stands where it is right; None after the time limit."""
-
-        def look() -> Tracee | None:
-            self.tracees.service()
-            if not any(one.tid in self.tracees.threads for one in threads):
-                raise MissedError("failed", "before the fault: the thread ended")
-            for one in list(self.tracees.threads.values()):
-                if one.report is not None and one.report.kind == "timer":
-                    if one in threads and right(one):
-                        return one
-                    self.tracees.resume(one)
-            insist()
-            return None
-
-        return wait_until(look, self._deadline - time.monotonic())
 
     def _wait(self, duration_s: float) -> None:
         """Let all run for some wall time."""

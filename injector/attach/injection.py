@@ -66,6 +66,7 @@ class ProcessInjection(Strict):
     instructions: int | None = None
     cpu_ns: int | None = None
     rehearsals: int = 0
+    missed: int = Field(default=0, description="calls that were over before the moment drawn for them")
     injection: InjectionRecord
     aftermath: Aftermath
 
@@ -77,7 +78,6 @@ def inject_into(
     draw: np.random.Generator,
     *,
     node: str = "",
-    function: str = "",
     library: str = "",
     dry_run: bool = False,
     watch_s: float = 1.0,
@@ -85,7 +85,7 @@ def inject_into(
     """Inject a fault into a process of which only the pid is known.
 
     With ``dry_run`` nothing is changed: what would be is written back as it is. ``node`` is the name by which
-    it is announced, ``function`` and ``library`` are what ``target`` names, for the record. When this returns
+    it is announced, ``library`` what ``target`` names, for the record. When this returns
     or raises, nobody is traced.
 
     :raises AttachRefusedError: if the kernel forbids it, or no thread can be stopped.
@@ -119,7 +119,7 @@ def inject_into(
     return ProcessInjection(
         **told,
         thread=thread,
-        function=function,
+        function=target.function.name if target.function is not None else "",
         library=library,
         seed=fault.seed,
         dry_run=dry_run,

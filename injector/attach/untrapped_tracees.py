@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Literal
@@ -62,6 +62,34 @@ class UntrappedTracees(TraceeGroup):
         if thread is self._stepping:
             self._leave_steps()
         super().resume(thread)
+
+    def await_one(
+        self,
+        threads: Sequence[Tracee],
+        right: Callable[[Tracee], bool],
+        deadline: float,
+        insist: Callable[[], None] = lambda: None,
+    ) -> Tracee | None:
+        """Let all run until one of some threads stands at an event where it is right; None at the deadline.
+
+        ``insist`` is called about every millisecond meanwhile.
+
+        :raises TargetError: if all of these threads have ended.
+        """
+
+        def look() -> Tracee | None:
+            self.service()
+            if not any(one.tid in self.threads for one in threads):
+                raise TargetError("the thread ended")
+            for one in list(self.threads.values()):
+                if one.report is not None and one.report.kind == "timer":
+                    if one in threads and right(one):
+                        return one
+                    self.resume(one)
+            insist()
+            return None
+
+        return wait_until(look, deadline - time.monotonic())
 
     def resume_others(self, thread: Tracee) -> None:
         """Let all but one standing thread run: it may wait for them."""

@@ -76,9 +76,9 @@ def mapper(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @contextmanager
-def running_program(program: Path) -> Iterator[subprocess.Popen[bytes]]:
+def running_program(program: Path, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
     """The program while it runs."""
-    process = subprocess.Popen([program], stdout=subprocess.PIPE)
+    process = subprocess.Popen([program, *arguments], stdout=subprocess.PIPE)
     try:
         assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"

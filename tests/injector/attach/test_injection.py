@@ -13,12 +13,13 @@ import pytest
 
 from injector.attach import approach, injection
 from injector.attach.approach import AttachTarget
+from injector.attach.function_calls import CalledFunction
 from injector.attach.injection import ProcessInjection, inject_into
 from injector.attach.permission import admit
 from injector.attach.untrapped_tracees import notice_for
 from injector.faults.code_restorer import RestoredProcess
 from injector.tracing.process import Process, threads, tracer_of
-from injector.tracing.symbols import function_at, module_code
+from injector.tracing.symbols import function_at, module_code, variants_of
 from services.models.faults.specification import FaultSpec
 from services.runtime.rng import generator
 from tests.injector.cpp_program import mapper, running_program
@@ -41,7 +42,7 @@ def inject(
         symbol, module = aim.pop("symbol", ""), aim.pop("module", "")
         found = AttachTarget(
             tids=aim.pop("tids", tuple(threads(pid)) if symbol else (pid,)),
-            entry=function_at(pid, maps, symbol)[0] if symbol else 0,
+            function=CalledFunction(variants_of(pid, maps, symbol)) if symbol else None,
             code=module_code(maps, module) if module else (),
             **aim,
         )
