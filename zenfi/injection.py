@@ -10,15 +10,28 @@ from deploy.config.written_faults import fault_fields
 from deploy.errors import BadSpecError, InfrastructureError
 from injector.attach.approach import AttachTarget
 from injector.attach.function_calls import CalledFunction
-from injector.attach.injection import ENDED, ProcessInjection, ended_before, inject_into
+from injector.attach.injection import ENDED, ENDING_MS, ProcessInjection, ended_before, inject_into
 from injector.attach.permission import AttachRefusedError, admit, check_thread, name_of
 from injector.faults.code_restorer import RestoredProcess
 from injector.tracing.perf_events import TriggerError
-from injector.tracing.process import MemoryMap, Process, VanishedError, threads
+from injector.tracing.process import AddressError, MemoryMap, Process, VanishedError, threads
+from injector.tracing.ptrace import PtraceError
 from injector.tracing.symbols import SymbolError, copies_elsewhere, module_code, variants_of
 from injector.tracing.tracees import StopError
 from services.models.faults.specification import FaultSpec
 from services.runtime import rng
+
+_OF_ONE_THAT_ENDS = (
+    VanishedError,
+    AttachRefusedError,
+    SymbolError,
+    TriggerError,
+    StopError,
+    PtraceError,
+    AddressError,
+    ProcessLookupError,
+)
+"""What may be raised because a process ends meanwhile; of one that lives it is raised on."""
 
 _DECIDED_ELSEWHERE = ("scope", "trigger", "components", "point")
 
@@ -128,8 +141,8 @@ def inject_process(asked: InjectionRequest) -> ProcessInjection:
             name = name_of(pid)
             try:
                 return _attach_and_inject(asked, process, fault)
-            except (VanishedError, AttachRefusedError, SymbolError, TriggerError) as error:
-                if process.alive and not isinstance(error, VanishedError):
+            except _OF_ONE_THAT_ENDS as error:
+                if not isinstance(error, VanishedError) and not process.ends_within(ENDING_MS):
                     raise
             return ended_before(pid, name, fault, node=asked.node or "", dry_run=asked.dry_run)
     except (AttachRefusedError, SymbolError, TriggerError) as error:

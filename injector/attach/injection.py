@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Literal
 
 import numpy as np
@@ -27,6 +27,9 @@ from services.models.outcome import InjectionRecord
 from services.system.signal_names import signal_name
 
 ENDED = "the process ended before the fault"
+
+ENDING_MS = 200
+"""Longest wall time for a process to be gone of which something is missing already."""
 
 MAKING_S = 0.5
 """Longest wait for threads that block all signals because they are being made."""
@@ -115,6 +118,10 @@ def inject_into(
         maps, thread = process.maps(), name_of(one.report.tid)
         tracees.resume_all()
         aftermath = _watch(tracees, process, watch_s)
+    # Untraced: while we hold its threads, nobody hears of its end.
+    if result.status == "failed" and not result.bits and process.ends_within(ENDING_MS):
+        result = replace(result, reason=ENDED)
+        aftermath = aftermath if aftermath.result != "lives" else Aftermath(result="ended", watched_s=watch_s)
     drawn = {name: value for name, value in asdict(one.report).items() if name not in ("precision", "tid")}
     return ProcessInjection(
         **told,

@@ -31,11 +31,12 @@ class RestoredProcess(Process):
     """A process whose code is restored some 0.1 ms after we are killed while it is changed."""
 
     def __init__(self, expected: ProcessIdentity) -> None:
+        self._restorer: subprocess.Popen[bytes] | None = None  # closed without one if it is gone
         super().__init__(expected)
         try:
             memory = self._mem()
         except OSError:
-            super().close()
+            self.close()
             raise
         self._restorer = subprocess.Popen(  # noqa: S603 - our own program
             [sys.executable, "-I", "-S", "-c", _PROGRAM, str(memory)],
@@ -55,16 +56,19 @@ class RestoredProcess(Process):
         self._tell("")
 
     def _tell(self, line: str) -> None:
+        assert self._restorer is not None  # noqa: S101 - started
         assert self._restorer.stdin is not None  # noqa: S101 - a pipe
         self._restorer.stdin.write(f"{line}\n".encode())
         self._restorer.stdin.flush()
         self._heard()
 
     def _heard(self) -> None:
+        assert self._restorer is not None  # noqa: S101 - started
         assert self._restorer.stdout is not None  # noqa: S101 - a pipe
         self._restorer.stdout.readline()
 
     def close(self) -> None:
         """Close the process and wait until its helper process has ended."""
-        self._restorer.communicate()
+        if self._restorer is not None:
+            self._restorer.communicate()
         super().close()
