@@ -11,7 +11,7 @@ from deploy.errors import BadSpecError, InfrastructureError
 from injector.attach.approach import AttachTarget
 from injector.attach.function_calls import CalledFunction
 from injector.attach.injection import ENDED, ENDING_MS, ProcessInjection, ended_before, inject_into
-from injector.attach.permission import AttachRefusedError, admit, check_thread, name_of
+from injector.attach.permission import AttachRefusedError, admit, check_runs, check_thread, name_of
 from injector.faults.code_restorer import RestoredProcess
 from injector.tracing.perf_events import TriggerError
 from injector.tracing.process import AddressError, MemoryMap, Process, VanishedError, threads
@@ -181,6 +181,9 @@ def _aim(asked: InjectionRequest, process: Process) -> AttachTarget:
     """Where to inject."""
     if asked.thread is not None:
         check_thread(process.pid, asked.thread)
+    for option in ("symbol", "module", "cpu_s", "after_s"):
+        if getattr(asked, option) is not None:
+            check_runs(process.pid, option)
     maps = process.maps()
     if next(maps.code(), None) is None:  # one that is about to end has no memory any more
         raise VanishedError(ENDED)

@@ -86,6 +86,8 @@ def _moment(one: ProcessInjection, record: InjectionRecord) -> str:
 def _end(end: Aftermath) -> str:
     if end.result == "lives":
         return f"it lives, {end.watched_s:g} s later" if end.watched_s else "not watched"
+    if end.result == "stopped":
+        return "it is stopped, as it was before"
     if end.result == "ended":
         return "it ended, nobody knows how"
     how = f"killed by {end.signal}" if end.result == "killed" else f"exited with status {end.exit_status}"

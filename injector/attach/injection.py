@@ -12,6 +12,7 @@ from pydantic import Field
 
 from injector.attach.approach import AttachApproach, AttachTarget
 from injector.attach.permission import AttachRefusedError, changed, name_of, not_permitted
+from injector.attach.stopped_process import StoppedApproach
 from injector.attach.untrapped_tracees import UntrappedTracees, notice_for
 from injector.faults.corruption import CORRUPTIONS
 from injector.faults.record import record_of
@@ -24,12 +25,16 @@ from injector.tracing.waiting import wait_until
 from services.models.base import Strict
 from services.models.faults.specification import FaultSpec
 from services.models.outcome import InjectionRecord
+from services.system.process_stat import is_stopped
 from services.system.signal_names import signal_name
 
 ENDED = "the process ended before the fault"
 
 ENDING_MS = 200
 """Longest wall time for a process to be gone of which something is missing already."""
+
+STOPPING_S = 1.0
+"""Longest wait for a process that was stopped before to be stopped again."""
 
 MAKING_S = 0.5
 """Longest wait for threads that block all signals because they are being made."""
@@ -38,10 +43,10 @@ MAKING_S = 0.5
 class Aftermath(Strict):
     """What happened to the process within ``watched_s`` of wall time after the fault.
 
-    ``ended``: it did, and nobody told us how.
+    ``ended``: it did, and nobody told us how. ``stopped``: it had been before, and is again.
     """
 
-    result: Literal["lives", "killed", "exited", "ended"]
+    result: Literal["lives", "stopped", "killed", "exited", "ended"]
     signal: str = Field(default="", description="that killed it")
     exit_status: int | None = None
     after_s: float | None = Field(default=None, description="wall time from the fault to its end")
@@ -103,21 +108,24 @@ def inject_into(
         raise AttachRefusedError(
             f"process {process.pid} blocks the signals by which a thread is stopped there"
         )
+    stopped = is_stopped(process.pid)
     told = {"process": name_of(process.pid), "executable": _executable(process.pid)}
     with UntrappedTracees(process, notice) as tracees:
         _seize(tracees, process)
-        one = AttachApproach(
-            tracees,
-            process,
-            target,
-            fault.model_copy(update={"model": "none"}) if dry_run else fault,
-            CORRUPTIONS[fault.model],
-            draw,
-        )
+        done = fault.model_copy(update={"model": "none"}) if dry_run else fault
+        corruption = CORRUPTIONS[fault.model]
+        one: AttachApproach | StoppedApproach
+        if stopped:
+            one = StoppedApproach(tracees, process, target.tids[0], done, corruption, draw)
+        else:
+            one = AttachApproach(tracees, process, target, done, corruption, draw)
         result = one.run()
         maps, thread = process.maps(), name_of(one.report.tid)
-        tracees.resume_all()
-        aftermath = _watch(tracees, process, watch_s)
+        if not stopped:
+            tracees.resume_all()
+            aftermath = _watch(tracees, process, watch_s)
+    if stopped:
+        aftermath = _left_stopped(process, watch_s)
     # Untraced: while we hold its threads, nobody hears of its end.
     if result.status == "failed" and not result.bits and process.ends_within(ENDING_MS):
         result = replace(result, reason=ENDED)
@@ -153,7 +161,7 @@ def _seize(tracees: UntrappedTracees, process: Process) -> None:
 
 def _record(
     fault: FaultSpec,
-    approach: AttachApproach,
+    approach: AttachApproach | StoppedApproach,
     maps: MemoryMap,
     result: InjectionResult,
     *,
@@ -199,6 +207,14 @@ def _executable(pid: int) -> str:
         return os.readlink(f"/proc/{pid}/exe")  # noqa: PTH115
     except OSError:
         return ""
+
+
+def _left_stopped(process: Process, watch_s: float) -> Aftermath:
+    """What becomes of a stopped process that is no longer traced: nothing, until somebody lets it go on."""
+    pid = process.pid
+    wait_until(lambda: True if is_stopped(pid) or not process.alive else None, STOPPING_S)
+    end: Literal["stopped", "ended", "lives"] = "stopped" if is_stopped(pid) else "lives"
+    return Aftermath(result=end if process.alive else "ended", watched_s=watch_s)
 
 
 def _watch(tracees: UntrappedTracees, process: Process, watch_s: float) -> Aftermath:

@@ -16,7 +16,7 @@ from injector.tracing.process import (
     threads,
     tracer_of,
 )
-from services.system.process_stat import process_stat
+from services.system.process_stat import is_stopped, process_stat
 
 _YAMA = Path("/proc/sys/kernel/yama/ptrace_scope")
 _PF_KTHREAD = 0x00200000
@@ -64,8 +64,6 @@ def _admissible(pid: int) -> None:
     if tracer:
         message = f"process {pid} is traced by process {tracer} ({name_of(tracer)}): end that first"
         raise AttachRefusedError(message)
-    if stat.state == "T":
-        raise AttachRefusedError(f"process {pid} is stopped: let it go on first: kill -CONT {pid}")
 
 
 def _exists(pid: int) -> None:
@@ -89,6 +87,18 @@ def _is_64_bit(pid: int) -> None:
     if head[:4] != b"\x7fELF" or head[_ELF_CLASS_AT] != _ELF_64:
         raise AttachRefusedError(
             f"process {pid} ({name_of(pid)}) is 32-bit: only 64-bit processes can be injected into"
+        )
+
+
+def check_runs(pid: int, what: str) -> None:
+    """Refuse a process that somebody has stopped where ``what`` is asked of it.
+
+    :raises AttachRefusedError: saying what to do.
+    """
+    if is_stopped(pid):
+        message = f"process {pid} ({name_of(pid)}) is stopped, and {what} needs one that runs"
+        raise AttachRefusedError(
+            f"{message}: kill -CONT {pid}, or leave that out to strike it where it stands"
         )
 
 

@@ -108,10 +108,6 @@ def test_pids_that_are_no_targets() -> None:
     assert f"there is no process {ended.pid}" == refusal("--pid", ended.pid)
     assert "thread of the kernel" in refusal("--pid", 2)
     assert "is this injector itself" in refusal("--pid", os.getpid())
-    with sleeper() as process:
-        process.send_signal(signal.SIGSTOP)
-        wait_until(lambda: state(process.pid) == "T")
-        assert f"kill -CONT {process.pid}" in refusal("--pid", process.pid)
 
 
 @pytest.fixture(params=["admitted", "aimed at"])
