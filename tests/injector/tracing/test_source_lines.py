@@ -123,6 +123,30 @@ def test_each_instruction_is_of_the_line_that_addr2line_tells(source: Path, kind
         assert code(line, program) == expected
 
 
+@pytest.mark.parametrize("version", ["-gdwarf-3", "-gdwarf-5"])
+def test_a_unit_in_one_piece_is_found_without_a_table_of_units(source: Path, version: str) -> None:
+    (source / "src/main.c").write_text("int main(int count, char **given) {\n    return count * 3;\n}\n")
+    program = built(source, "clang", version)
+    assert {f"{source}/src/main.c:{line}" for line in (1, 2)} | {""} == lines_of(program)
+    assert code("main.c:2", program) != set()
+
+
+def test_code_that_the_linker_has_left_out_is_none(source: Path) -> None:
+    # Its rows stay, from address 0 on, and reach into what is linked.
+    unused = 'void unused_and_long(void) {\n    __asm__ volatile(".fill 8192, 1, 0x90");\n}\n'
+    (source / "src/main.c").write_text(f"{MAIN}{unused}")
+    program = built(source, "gcc", "-g", "-ffunction-sections", "-Wl,--gc-sections")
+    assert not {f"{source}/src/main.c:{line}" for line in (12, 13, 14)} & lines_of(program)
+    with pytest.raises(SourceLineError, match=r"has no code; the nearest lines .* that have: 10, 11"):
+        code("main.c:13", program)
+
+
+def test_a_path_with_steps_back_is_the_one_without(source: Path) -> None:
+    program = built(source, "gcc", "-g", what="other/../src/main.c")
+    assert f"{source}/src/main.c:4" in lines_of(program)
+    assert code(f"{source}/src/main.c:4", program) == code("other/../src/main.c:4", program) != set()
+
+
 @pytest.mark.parametrize(
     "name", ["src/main.c", "main.c", "./src/main.c", "src/../src/main.c", "{}/src/main.c"]
 )
