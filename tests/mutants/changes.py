@@ -1410,4 +1410,32 @@ MUTANTS: list[Mutant] = [
             "    return next(apart, 0.0)",
         ),
     ),
+    *_of(
+        "injector/tracing/source_lines.py",
+        "tests/injector/tracing/test_source_lines.py",
+        (
+            "source lines: debug information of another program is taken",
+            "if one is not None and zlib.crc32(one) == checksum:",
+            "if one is not None:",
+        ),
+        (
+            "source lines: of two files that end so one is taken",
+            "    if len(paths) > 1:\n",
+            "    if False:\n",
+        ),
+    ),
+    *_of(
+        "injector/tracing/line_tables.py",
+        "tests/injector/tracing/test_source_lines.py",
+        (
+            "source lines: code counts that the linker has left out",
+            "if any(begin <= rows[0][0] < end for begin, end in self._code)",
+            "if True",
+        ),
+        (
+            "source lines: units are found by the table alone that Clang does not write",
+            "for ranges in (self._told, self._untold):",
+            "for ranges in (self._told,):",
+        ),
+    ),
 ]
