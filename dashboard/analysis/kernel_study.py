@@ -178,7 +178,7 @@ def _bit(record: InjectionRecord) -> str:
 WAYS: Mapping[str, Callable[[InjectionRecord], str]] = {
     "class": lambda record: instruction_class(record.instruction),
     "register": lambda record: record.register_name or "memory or code",
-    "role": lambda record: record.operand or "code",
+    "role": lambda record: record.operand or ("named register" if record.register_name else "code"),
     "bit": _bit,
     "module": lambda record: record.module or "compiled at run time",
     "symbol": lambda record: demangled(record.symbol) or "unknown",

@@ -40,6 +40,7 @@ class StruckProgram(Strict):
     module: str
     symbol: str
     address: int | None
+    line: str
     fault: FaultSpec
     seed: int
 
@@ -143,6 +144,7 @@ def _struck(program: str, spec: ProgramStudySpec) -> StruckProgram:
         module=found.module,
         symbol=found.symbol,
         address=found.address,
+        line=found.line,
         fault=spec.fault,
         seed=spec.seed,
     )

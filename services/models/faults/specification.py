@@ -144,7 +144,7 @@ class FaultSpec(Strict):
             yield from self._field_problems()
         if self.bit_numbers is not None:
             yield from self._bit_number_problems(self.bit_numbers)
-        yield from self._mask_problems()
+        yield from _mask_problems(self)
 
     @property
     def at_equipment(self) -> bool:
@@ -241,23 +241,6 @@ class FaultSpec(Strict):
         if (self.operand, self.register_class) != ("any", "any") or self.scope == "kernel":
             yield "operand, register_class and scope go with level instruction: a message has none"
 
-    def _mask_problems(self) -> Iterator[str]:
-        if self.mask == "histogram" and self.histogram is None:
-            yield "mask histogram needs histogram: a FILE.toml, or the tables of one"
-        if self.mask != "histogram" and self.histogram is not None:
-            yield f"histogram goes with mask histogram, not {self.mask}"
-        if self.mask == "bits":
-            return
-        if self.bits != 1:
-            yield f"bits goes with mask bits: mask {self.mask} itself says how many"
-        both = f"mask {self.mask} both say which bits: leave out one"
-        if self.bit_numbers is not None:
-            yield f"bit_numbers and {both}"
-        if self.field != "any" and (self.mask in ("byte", "word") or self.named_bits):
-            yield f"field and {both}"
-        if self.mask == "word" and self.model == "opcode":
-            yield "model opcode: an instruction has bytes, no words: choose mask byte"
-
     def _register_problems(self) -> Iterator[str]:
         names = self.registers
         if names is None:
@@ -286,6 +269,24 @@ class FaultSpec(Strict):
             yield f"bit_numbers: expected distinct numbers from 0 to 511, got {list(numbers)}"
         if self.bits not in (1, len(numbers)):
             yield "bits counts bits to be drawn, bit_numbers names them: leave out bits"
+
+
+def _mask_problems(fault: FaultSpec) -> Iterator[str]:
+    if fault.mask == "histogram" and fault.histogram is None:
+        yield "mask histogram needs histogram: a FILE.toml, or the tables of one"
+    if fault.mask != "histogram" and fault.histogram is not None:
+        yield f"histogram goes with mask histogram, not {fault.mask}"
+    if fault.mask == "bits":
+        return
+    if fault.bits != 1:
+        yield f"bits goes with mask bits: mask {fault.mask} itself says how many"
+    both = f"mask {fault.mask} both say which bits: leave out one"
+    if fault.bit_numbers is not None:
+        yield f"bit_numbers and {both}"
+    if fault.field != "any" and (fault.mask in ("byte", "word") or fault.named_bits):
+        yield f"field and {both}"
+    if fault.mask == "word" and fault.model == "opcode":
+        yield "model opcode: an instruction has bytes, no words: choose mask byte"
 
 
 def _with_histogram(given: Any) -> Any:
