@@ -29,7 +29,7 @@ _COMMANDS: dict[str, Callable[[Service, StudyEntry], object]] = {
 
 
 def entry_of(service: Service, label: str) -> StudyEntry:
-    """The study of that label.
+    """The study that the service keeps by that label.
 
     :raises NotFoundError: if there is none.
     """
@@ -52,7 +52,7 @@ class WatchedStudy:
         self._groups = {way: SharedValue(self._dividing(way), PACE_S) for way in get_args(Way)}
 
     async def line(self) -> ProgramStudyLine:
-        """Where it stands now."""
+        """The phase and the progress of the study now."""
         return await ask(lambda: api.study_line(self._service, entry_of(self._service, self._label)))
 
     async def detail(self, line: ProgramStudyLine) -> ProgramStudyDetail:

@@ -73,7 +73,7 @@ def test_a_study_is_started_watched_looked_through_and_deleted(striking: Serving
 
     page.get_by_role("link", name="Programs").click()
     page.get_by_role("button", name="delete").click()
-    page.get_by_role("button", name="Delete").last.click()
+    page.get_by_role("dialog").get_by_role("button", name="Delete").click()
     expect(page.get_by_text("No studies yet.")).to_be_visible()
     assert not file.parent.exists()
 
