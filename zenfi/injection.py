@@ -178,7 +178,7 @@ def _fault(asked: InjectionRequest, pid: int) -> FaultSpec:
 
 
 def _aim(asked: InjectionRequest, process: Process) -> AttachTarget:
-    """Where to inject."""
+    """The thread and the code at which a request aims."""
     if asked.thread is not None:
         check_thread(process.pid, asked.thread)
     for option in ("symbol", "module", "cpu_s", "after_s"):

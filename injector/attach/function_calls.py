@@ -265,7 +265,7 @@ class _Elsewhere:
         self._since: dict[str, float] = {}
 
     def look(self, counted: Sequence[tuple[LoadedFunction, Breakpoint]]) -> None:
-        """Look at what was counted.
+        """Look at the calls of other copies that were counted.
 
         :raises MissedError: if another copy runs.
         """
@@ -280,7 +280,7 @@ class _Elsewhere:
 
 
 def address_of(thread: Tracee) -> int:
-    """Where a thread stands."""
+    """The address of the instruction at which a thread stands."""
     return registers_of(thread).program_counter
 
 

@@ -50,7 +50,7 @@ class LoadedFunction:
 
     @property
     def file(self) -> str:
-        """The name of the file."""
+        """The name of the file that defines it, without its folder."""
         return _file_name(self.path)
 
 
