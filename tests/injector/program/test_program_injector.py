@@ -124,7 +124,7 @@ def test_only_the_code_that_is_asked_for_is_struck(tmp_path: Path) -> None:
             {},
             r"exit status 3 without a fault .why.; if that is right: --status 3",
         ),
-        (["true"], {"outputs": ("result",)}, "writes no such file"),
+        (["true"], {"compare": ("result",)}, "writes no such file"),
         (["sleep", "1000"], {}, "did not end within"),
     ],
 )
