@@ -130,6 +130,7 @@ class FaultSpec(Strict):
         elif self.components != "one" or self.point is not None:
             yield "components and point go with level source"
         yield from self._recurrence_problems()
+        yield from self._register_problems()
         stuck = (self.stuck_value, self.stuck_instructions)
         if self.model == "stuck_at" and None in stuck:
             yield "model stuck_at needs stuck_value (0 or 1) and stuck_instructions (how many)"
@@ -139,7 +140,6 @@ class FaultSpec(Strict):
             yield f"model {self.model} strikes no register: leave out register_class"
         if self.model == "opcode" and (self.operand, self.field) != ("any", "any"):
             yield "model opcode strikes no operand: leave out operand and field"
-        yield from self._register_problems()
         if self.field != "any":
             yield from self._field_problems()
         if self.bit_numbers is not None:
