@@ -189,7 +189,8 @@ class FunctionCalls:
             return False
         try:
             told = Path(f"/proc/{thread.pid}/task/{thread.tid}/syscall").read_text().split()
-            return len(told) > 2 and self.is_left(frame, int(told[-2], 16))
+            # One that stands at its return meanwhile is in no call of the kernel: -1.
+            return len(told) > 2 and told[0] != "-1" and self.is_left(frame, int(told[-2], 16))
         except (OSError, AddressError):  # it ends
             return False
 
