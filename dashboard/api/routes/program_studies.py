@@ -26,7 +26,7 @@ from services.models.faults.specification import FaultSpec
 MOST_RUNS = 100_000
 """Of a study that is asked for over HTTP: as many as of a campaign."""
 
-Way = Literal["class", "register", "role", "bit", "module", "symbol"]
+Way = Literal["class", "register", "role", "bit", "module", "symbol", "line"]
 """By what the outcomes can be divided."""
 
 router = APIRouter(tags=["programs"], responses=documented(404, 422))
