@@ -57,22 +57,23 @@ int main() {
 """
 
 
-@pytest.fixture(scope="session")
-def mapper(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The program; ``grid::insert`` lies in its library ``libgrid.so``, which has debug information."""
+def compiled_cpp(made: Path, source: str, *options: str) -> Path:
+    """The program or library that a text in C++ makes; the test is skipped where there is no compiler."""
     compiler = shutil.which("c++")
     if compiler is None:
         pytest.skip("no C++ compiler (c++) on this machine")
+    text = made.with_suffix(".cpp")
+    text.write_text(source)
+    subprocess.run([compiler, "-O1", "-o", made, text, *options], check=True)
+    return made
+
+
+@pytest.fixture(scope="session")
+def mapper(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The program; ``grid::insert`` lies in its library ``libgrid.so``, which has debug information."""
     folder = tmp_path_factory.mktemp("mapper")
-    (folder / "grid.cpp").write_text(_LIBRARY)
-    (folder / "main.cpp").write_text(_MAIN)
-    library, program = folder / "libgrid.so", folder / "mapper"
-    subprocess.run(
-        [compiler, "-g", "-O1", "-shared", "-fPIC", "-o", library, folder / "grid.cpp"], check=True
-    )
-    link: list[str | Path] = [folder / "main.cpp", library, f"-Wl,-rpath,{folder}", "-pthread"]
-    subprocess.run([compiler, "-O1", "-o", program, *link], check=True)
-    return program
+    library = compiled_cpp(folder / "libgrid.so", _LIBRARY, "-g", "-shared", "-fPIC")
+    return compiled_cpp(folder / "mapper", _MAIN, str(library), f"-Wl,-rpath,{folder}", "-pthread")
 
 
 @contextmanager

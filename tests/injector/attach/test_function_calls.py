@@ -1,7 +1,5 @@
 """Calls of a function are those that its user means: of whatever variant, of the copy that runs."""
 
-import shutil
-import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ from injector.tracing.process import threads
 from injector.tracing.symbols import SymbolError, copies_elsewhere, variants_of
 from services.models.faults.specification import FaultSpec
 from services.runtime.rng import generator
-from tests.injector.cpp_program import running_program
+from tests.injector.cpp_program import compiled_cpp, running_program
 
 pytestmark = pytest.mark.usefixtures("may_inject")
 
@@ -73,17 +71,9 @@ int main() {
 @pytest.fixture(scope="session")
 def variants(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A program ``variants`` and its library ``libvariants.so``, which define several functions both."""
-    compiler = shutil.which("c++")
-    if compiler is None:
-        pytest.skip("no C++ compiler (c++) on this machine")
     folder = tmp_path_factory.mktemp("variants")
-    (folder / "library.cpp").write_text(_HEADER + _LIBRARY)
-    (folder / "main.cpp").write_text(_HEADER + _MAIN)
-    library, program = folder / "libvariants.so", folder / "variants"
-    subprocess.run([compiler, "-O1", "-shared", "-fPIC", "-o", library, folder / "library.cpp"], check=True)
-    link: list[str | Path] = [folder / "main.cpp", library, f"-Wl,-rpath,{folder}"]
-    subprocess.run([compiler, "-O1", "-o", program, *link], check=True)
-    return program
+    library = compiled_cpp(folder / "libvariants.so", _HEADER + _LIBRARY, "-shared", "-fPIC")
+    return compiled_cpp(folder / "variants", _HEADER + _MAIN, str(library), f"-Wl,-rpath,{folder}")
 
 
 _LEAVER = """
@@ -128,14 +118,7 @@ int main(int, char **arguments) {
 @pytest.fixture(scope="session")
 def leaver(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A program whose functions are left by jumps, exceptions and the ends of threads."""
-    compiler = shutil.which("c++")
-    if compiler is None:
-        pytest.skip("no C++ compiler (c++) on this machine")
-    source = tmp_path_factory.mktemp("leaver") / "leaver.cpp"
-    source.write_text(_LEAVER)
-    program = source.with_suffix("")
-    subprocess.run([compiler, "-O1", "-o", program, source, "-pthread"], check=True)
-    return program
+    return compiled_cpp(tmp_path_factory.mktemp("leaver") / "leaver", _LEAVER, "-pthread")
 
 
 def strike(pid: int, symbol: str, module: str = "", **aim: Any) -> ProcessInjection:

@@ -12,6 +12,7 @@ from injector.tracing.process import threads, tracer_of
 from tests.conftest import PATIENCE_S, wait_until
 from tests.dashboard.command import refusal, zenfi
 from tests.injector.cpp_program import running_program
+from tests.injector.program.launched import compiled
 from tests.injector.programs import clock_ns, state
 
 pytestmark = pytest.mark.usefixtures("may_inject")
@@ -40,14 +41,7 @@ int main(void) {
 @pytest.fixture(scope="session")
 def spinning(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A program that spins until its register rbx is not 0, which it prints then."""
-    compiler = shutil.which("cc")
-    if compiler is None:
-        pytest.skip("no C compiler (cc) on this machine")
-    source = tmp_path_factory.mktemp("spinning") / "spinning.c"
-    source.write_text(_SPINNING)
-    program = source.with_suffix("")
-    subprocess.run([compiler, "-O1", "-pthread", "-o", program, source], check=True)
-    return program
+    return compiled(tmp_path_factory.mktemp("spinning"), _SPINNING, "spinning", "-pthread")
 
 
 @pytest.fixture
