@@ -82,11 +82,19 @@ class Countdown:
     """Traps the program at a pass through an address; to be closed when it has, or before a fault."""
 
     def __init__(
-        self, process: Process, memory: TranslationMemory, address: int, passes: int, by_way_of: int = 0
+        self,
+        process: Process,
+        memory: TranslationMemory,
+        address: int,
+        passes: int,
+        *,
+        by_way_of: int = 0,
+        one_thread: bool = False,
     ) -> None:
         """Put the code into ``memory``: the ``passes``-th pass from now on is trapped before the instruction.
 
-        The jump leads there by way of bytes nearby, if their address is given.
+        The jump leads there by way of bytes nearby, if their address is given. Passes of ``one_thread`` are
+        counted faster: no other can pass at the same time.
 
         :raises TranslationError: if it cannot be put there.
         """
@@ -98,7 +106,7 @@ class Countdown:
             raise TranslationError(message)
         word = memory.words(1)
         process.write_memory(word, _WORD.pack(passes))
-        written, self.trapped_at = _countdown(memory.here, word, code, taken)
+        written, self.trapped_at = _countdown(memory.here, word, code, taken, b"" if one_thread else _LOCK)
         process.write_memory(memory.here, written)
         self._jumps = [(by_way_of or address, jump(by_way_of or address, memory.here))]
         if by_way_of:
@@ -145,12 +153,12 @@ def _room(process: Process, address: int) -> int:
     return mapping.end - address if mapping is not None else 0
 
 
-def _countdown(at: int, word: int, code: bytes, taken: Displaced) -> tuple[bytes, int]:
+def _countdown(at: int, word: int, code: bytes, taken: Displaced, lock: bytes) -> tuple[bytes, int]:
     """The code, and where its thread stands behind the trap; registers, flags and stack are the program's."""
     out = BlockWriter(at)
     if not taken.flags_are_free:
         out.code += _KEEP
-    out.referring(_LOCK + _DECREMENT, word)
+    out.referring(lock + _DECREMENT, word)
     back = b"" if taken.flags_are_free else _BACK
     out.code += _IF_LEFT + bytes([len(back) + len(TRAP)]) + back + TRAP
     trapped_at = at + len(out.code)

@@ -33,6 +33,7 @@ _WORD = struct.Struct("<Q")
 _AT_IGNORE, _AT_RANDOM, _AT_SYSINFO_EHDR = 1, 25, 33
 _SET_SIZE = 512
 _BEGIN_S = 20.0
+_SLEEP_S = 0.05  # between two looks at a program that runs: a process of one thread misses no signal
 
 
 class LaunchError(Exception):
@@ -277,7 +278,7 @@ class LaunchedProgram(TraceeGroup):
 
     def next_report(self, limit_s: float) -> tuple[Tracee, StopReport] | None:
         """What one of the running threads reports, who stands then; None after a limit of wall time."""
-        return wait_until(self._look_at_one, limit_s)
+        return wait_until(self._look_at_one, limit_s, _SLEEP_S)
 
     def _look_at_one(self) -> tuple[Tracee, StopReport] | None:
         for thread in self._running():

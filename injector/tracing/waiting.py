@@ -22,8 +22,11 @@ def hear_of_children() -> set[signal.Signals]:
     return set(signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD}))  # type: ignore[arg-type]
 
 
-def wait_until(look: Callable[[], T | None], limit_s: float) -> T | None:
+def wait_until(look: Callable[[], T | None], limit_s: float, sleep_s: float = _SLICE_S) -> T | None:
     """Call ``look`` until it finds something; None after ``limit_s``.
+
+    It may sleep for ``sleep_s`` where no other thread of ours can take the signal. Looking each millisecond
+    takes three parts in a hundred of a processor, which tracees may share.
 
     Polls for :data:`SPIN_NS`, yielding to others meanwhile; then sleeps until a tracee reports. Who yields
     where others have work gets on after a time slice of theirs.
@@ -37,6 +40,6 @@ def wait_until(look: Callable[[], T | None], limit_s: float) -> T | None:
         if waited_ns >= limit_s * 1e9:
             return None
         if waited_ns > SPIN_NS:
-            signal.sigtimedwait({signal.SIGCHLD}, _SLICE_S)
+            signal.sigtimedwait({signal.SIGCHLD}, sleep_s)
         else:
             os.sched_yield()  # tracees on our own processor need it to get anywhere

@@ -1319,8 +1319,8 @@ MUTANTS: list[Mutant] = [
         "tests/injector/program/test_approach.py",
         (
             "program: the countdown ends a pass early",
-            "memory, point.counted_at, point.hit, point.by_way_of",
-            "memory, point.counted_at, point.hit - 1, point.by_way_of",
+            "            point.hit,\n",
+            "            point.hit - 1,\n",
         ),
     ),
     *_of(
@@ -1330,6 +1330,11 @@ MUTANTS: list[Mutant] = [
             "program: passes are counted where others pass, too",
             "if self._passes[one] != self._passes[address]:",
             "if self._passes[one] > self._passes[address]:",
+        ),
+        (
+            "program: passes on several processors are counted as those on one",
+            "one_thread=not self._several_threads",
+            "one_thread=True",
         ),
     ),
     *_of(

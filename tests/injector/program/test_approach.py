@@ -1,5 +1,6 @@
 """The drawn pass is reached by each of four ways, and by no other pass."""
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -88,6 +89,45 @@ def test_passes_of_all_threads_count(tmp_path: Path, options: tuple[str, ...]) -
         runs = [run for _, run in injector.run(points, fault, 1)]
     assert length.scope == 5000
     assert [int(run.injection.before, 16) for run in runs] == [hit_of(run) for run in runs]
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one processor")
+def test_passes_on_several_processors_at_once_count(tmp_path: Path) -> None:
+    source = """
+    #define _GNU_SOURCE
+    #include <pthread.h>
+    #include <sched.h>
+    static int ready;
+    static void *work(void *processor) {
+        cpu_set_t one;
+        CPU_ZERO(&one); CPU_SET((long)processor, &one);
+        if (sched_setaffinity(0, sizeof one, &one)) return processor;
+        __atomic_add_fetch(&ready, 1, __ATOMIC_SEQ_CST);
+        while (__atomic_load_n(&ready, __ATOMIC_SEQ_CST) < 2) sched_yield();
+        for (long at = 0; at < 3000000; at++)
+            __asm__ volatile(".globl probe\\nprobe: mov %0, %%rax\\nmov %%rax, %%rcx"
+                             :: "r"(at) : "rax", "rcx");
+        return 0;
+    }
+    int main(void) {
+        pthread_t threads[2];
+        long processors[2] = {FIRST, SECOND};
+        for (int at = 0; at < 2; at++) pthread_create(&threads[at], 0, work, (void *)processors[at]);
+        for (int at = 0; at < 2; at++) pthread_join(threads[at], 0);
+    }
+    """
+    first, second, *_ = sorted(os.sched_getaffinity(0))
+    places = (f"-DFIRST={first}", f"-DSECOND={second}")
+    program = compiled(tmp_path, source, "processors", "-pthread", *places)
+    spec = spec_of([program], module="processors", address=offset_of(program, "probe"))
+    fault = FaultSpec(target="processors", scope="thread", model="none")
+    with injector_of(spec) as injector:
+        length, points = injector.draw(fault, 1, range(100))
+        last = max(points, key=lambda point: point.hit)
+        ((_, run),) = injector.run([last], fault, 1)
+    assert length.scope == 6_000_000
+    assert last.hit > 5_700_000
+    assert run.result == "benign", run.cause
 
 
 CROWDED = """
