@@ -31,6 +31,7 @@ COMMANDS = {
     "certificates": LazyCommand("stack", "Make certificates for machines that meet over TLS."),
     "companion": LazyCommand("stack", "Run the stages of missions whose simulator is on another host."),
     "demo": LazyCommand("campaign", "A small campaign: golden flights beside flights with faults."),
+    "detect": LazyCommand("detect", "How much of the harm that faults do detectors catch in time."),
     "doctor": LazyCommand("mission", "Check what this machine allows, and fly once."),
     "down": LazyCommand("stack", "End a stack: its processes in order, then its supervisor."),
     "fly": LazyCommand("mission", "Fly one mission; with --fault, its golden twin first."),

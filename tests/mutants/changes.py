@@ -1315,6 +1315,26 @@ MUTANTS: list[Mutant] = [
         ("injector: a pid of another host is one of ours", "if one.boot_id == target.boot_id and ", "if "),
     ),
     *_of(
+        "detector/evaluation/coverage.py",
+        "tests/detector/evaluation/test_coverage.py",
+        (
+            "coverage: an alarm after the harm is in time",
+            "and self.alarm_s < self.harm.harmed_at_s",
+            "",
+        ),
+        (
+            "coverage: an alarm before the fault counts",
+            "(self.scores > limit) & (self.times_s >= begin)",
+            "self.scores > limit",
+        ),
+        (
+            "coverage: the flights that set the limit tell the false alarms",
+            "golden[::2], golden[1::2]",
+            "golden[::2], golden[::2]",
+        ),
+        ("coverage: the limit allows an alarm more", "scores[most]", "scores[most + 1]"),
+    ),
+    *_of(
         "injector/program/approach.py",
         "tests/injector/program/test_approach.py",
         (

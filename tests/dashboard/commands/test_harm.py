@@ -3,44 +3,8 @@
 import json
 from pathlib import Path
 
-import pytest
-
 from dashboard.campaigns.results.harmful_faults import HarmfulFault, distinct, read_collection
 from tests.dashboard.command import refusal, zenfi
-
-SPEC = """
-name = "harmed"
-runs = 2
-[mission]
-seed = 7
-limits = { mission_time_s = 8.0 }
-properties = ["always deviation <= 0.01"]
-[[arms]]
-name = "harmless"
-fault = { level = "source", target = "command.velocity", model = "none" }
-[[arms]]
-name = "reversed"
-[arms.fault]
-level = "source"
-target = "command.velocity"
-components = "all"
-recurrence = "permanent"
-bit_numbers = [63]
-"""
-
-
-@pytest.fixture(scope="module")
-def collected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A store with a campaign of two flights that went astray, and the collection of it."""
-    folder = tmp_path_factory.mktemp("harmed")
-    (folder / "harmed.toml").write_text(SPEC)
-    answer = zenfi("campaign", "run", folder / "harmed.toml", "--store", folder, "--slots", 1, "--json")
-    assert answer.returncode == 0, answer.stderr
-    file = folder / "harmful.jsonl"
-    answer = zenfi("harm", "collect", "harmed-1", "--store", folder, "--output", file, "--json")
-    assert answer.returncode == 0, answer.stderr
-    assert json.loads(answer.stdout) == {"harmful": 2, "new": 2, "faults": 2}
-    return folder, file
 
 
 def test_harmful_faults_are_kept_with_what_came_of_them(collected: tuple[Path, Path]) -> None:

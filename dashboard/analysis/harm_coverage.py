@@ -1,0 +1,218 @@
+"""How much harm detectors catch in time: as a table, as JSON and as a page of results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+
+from dashboard.campaigns.statistics.proportions import clopper_pearson
+from deploy.errors import BadSpecError
+from detector.evaluation.coverage import Coverage, FaultVerdict, JudgedFlight, at_budget
+
+BOUNDS = (0.95, 0.99)
+"""Levels of the one-sided lower bounds of coverage."""
+
+_RECORD = "zenfi detect record harmful.jsonl --output DIR"
+_LEGEND = (
+    "Of the faults that harm a mission, how many does a detector notice before the harm, and at how many\n"
+    "false alarms? All schemes have the same budgets: each other golden flight sets the limit of the score,\n"
+    "the rest tell the false alarms. Bounds of what is caught are one-sided (Clopper-Pearson), intervals of\n"
+    "false alarms two-sided (Poisson). Times are medians, with the tenth and the ninetieth percentile: from\n"
+    "the fault to the alarm, and from the alarm to the harm."
+)
+_HEADS = (
+    "scheme",
+    "budget",
+    "limit",
+    "false alarms",
+    "a flight",
+    "in 100 h",
+    "caught in time",
+    "%",
+    "> 95 %",
+    "> 99 %",
+    "alarm after, s",
+    "margin, s",
+)
+
+
+class Budget(NamedTuple):
+    """How many false alarms are allowed, in words and as numbers."""
+
+    words: str
+    per_flight: float
+    per_hour: float
+
+    def coverage(self, flights: Sequence[JudgedFlight]) -> Coverage:
+        """What a detector finds within the budget."""
+        return at_budget(flights, self.per_flight, self.per_hour)
+
+
+BUDGETS = (Budget("0.1 a flight", 0.1, 0.0), Budget("1 in 100 h", 0.0, 0.01))
+
+
+@dataclass(frozen=True, slots=True)
+class SchemeCoverage:
+    """A scheme, and what it finds within each budget."""
+
+    scheme: str
+    at: Sequence[tuple[Budget, Coverage]]
+
+
+def lower_bound(found: int, of: int, level: float) -> float:
+    """The one-sided Clopper-Pearson bound of a proportion: above it with confidence ``level``."""
+    return clopper_pearson(found, of, 2 * level - 1).low
+
+
+def events_interval(events: int, level: float = 0.95) -> tuple[float, float]:
+    """The exact two-sided interval of the mean of a Poisson count (Garwood 1936)."""
+    alpha = 1 - level
+    low = scipy.stats.chi2.ppf(alpha / 2, 2 * events) / 2 if events else 0.0
+    return float(low), float(scipy.stats.chi2.ppf(1 - alpha / 2, 2 * events + 2) / 2)
+
+
+def as_dict(one: SchemeCoverage) -> dict[str, Any]:
+    """Every figure, as JSON can hold it."""
+    return {"scheme": one.scheme, "budgets": [_figures(budget, found) for budget, found in one.at]}
+
+
+def _figures(budget: Budget, found: Coverage) -> dict[str, Any]:
+    low, high = events_interval(found.alarms)
+    faults = len(found.verdicts)
+    return {
+        "budget": budget.words,
+        "limit": found.limit if np.isfinite(found.limit) else None,
+        "golden_flights": found.flights,
+        "golden_hours": round(found.hours, 3),
+        "false_alarms": found.alarms,
+        "flights_with_false_alarm": found.alarmed,
+        "false_alarms_per_flight": [one / max(found.flights, 1) for one in (found.alarms, low, high)],
+        "false_alarms_per_100_h": [100 * one / max(found.hours, 1e-9) for one in (found.alarms, low, high)],
+        "harmful": faults,
+        "caught_in_time": found.in_time,
+        "bounds": {str(level): lower_bound(found.in_time, faults, level) for level in BOUNDS},
+        "faults": [
+            {**one.harm.model_dump(), "alarm_s": one.alarm_s, "in_time": one.in_time}
+            for one in found.verdicts
+        ],
+    }
+
+
+def show(console: Console, found: Sequence[SchemeCoverage]) -> None:
+    """Print what each scheme catches within each budget, then by class of fault."""
+    heads = ("scheme", "false alarms", "in flights", "caught in time", "%", "> 95 %", "margin, s")
+    for number, budget in enumerate(BUDGETS):
+        rows = [_short_row(one.scheme, one.at[number][1]) for one in found]
+        title = f"harmful faults caught before they harm, at {budget.words}"
+        console.print(_table(title, heads, rows, left=1))
+    title = f"caught in time, at {BUDGETS[0].words}"
+    console.print(_table(title, *_by_class(found), left=3))
+
+
+def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> Table:
+    table = Table(box=SIMPLE, pad_edge=False, collapse_padding=True, title=title)
+    for number, name in enumerate(heads):
+        table.add_column(name, justify="left" if number < left else "right")
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def write(path: Path, found: Sequence[SchemeCoverage], command: str) -> None:
+    """Write the page of results that ``command`` makes.
+
+    :raises BadSpecError: if the file cannot be written.
+    """
+    golden = found[0].at[0][1]
+    counted = f"{len(golden.verdicts)} harmful faults, {golden.flights} golden flights ({golden.hours:.1f} h)"
+    parts = [
+        "# Detectors, judged on harm",
+        _LEGEND,
+        f"```\nzenfi harm collect LABEL --output harmful.jsonl\n{_RECORD}\n{command}\n```",
+        f"{counted} that set no limit.",
+        _markdown(_HEADS, _rows(found)),
+        f"## By what was struck, {BUDGETS[0].words}",
+        _markdown(*_by_class(found)),
+    ]
+    try:
+        path.write_text("\n\n".join(parts) + "\n")
+    except OSError as error:
+        message = f"{path}: {error.strerror}"
+        raise BadSpecError(message) from error
+
+
+def _markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def _rows(found: Sequence[SchemeCoverage]) -> list[list[str]]:
+    rows = [_row(one.scheme, budget.words, coverage) for one in found for budget, coverage in one.at]
+    faults = len(found[0].at[0][1].verdicts) if found else 0
+    return [["none", "", "", "0", "0", "0", f"0 of {faults}", "0", "0", "0", "", ""], *rows]
+
+
+def _row(scheme: str, budget: str, found: Coverage) -> list[str]:
+    low, high = events_interval(found.alarms)
+    faults = len(found.verdicts)
+    caught = [one for one in found.verdicts if one.in_time]
+    delays = [one.alarm_s - one.harm.injected_s for one in caught if one.alarm_s is not None]
+    margins = [one.margin_s for one in caught if one.margin_s is not None]
+    return [
+        scheme,
+        budget,
+        f"{found.limit:.3g}",
+        str(found.alarms),
+        _with_ends(1 / max(found.flights, 1), found.alarms, low, high),
+        _with_ends(100 / max(found.hours, 1e-9), found.alarms, low, high),
+        f"{found.in_time} of {faults}",
+        f"{100 * found.in_time / max(faults, 1):.1f}",
+        *(f"{100 * lower_bound(found.in_time, faults, level):.1f}" for level in BOUNDS),
+        _quantiles(delays),
+        _quantiles(margins),
+    ]
+
+
+def _short_row(scheme: str, found: Coverage) -> list[str]:
+    row = dict(zip(_HEADS, _row(scheme, "", found), strict=True))
+    shown = [row[name] for name in ("caught in time", "%", "> 95 %", "margin, s")]
+    return [scheme, str(found.alarms), str(found.flights), *shown]
+
+
+def _with_ends(times: float, events: int, low: float, high: float) -> str:
+    return f"{times * events:.3g} ({times * low:.2g} to {times * high:.2g})"
+
+
+def _quantiles(values: Sequence[float]) -> str:
+    """The median, and a tenth and nine tenths."""
+    if not values:
+        return ""
+    low, middle, high = np.quantile(values, (0.1, 0.5, 0.9))
+    return f"{middle:.1f} ({low:.1f} to {high:.1f})"
+
+
+def _by_class(found: Sequence[SchemeCoverage]) -> tuple[list[str], list[list[str]]]:
+    """A row for each pilot, class and target: how many faults there are, and how many each scheme caught."""
+    verdicts = [one.at[0][1].verdicts for one in found]
+    heads = ["pilot", "class", "struck", "faults", *(one.scheme for one in found)]
+    keys = sorted({_key(one) for one in verdicts[0]}) if verdicts else []
+    return heads, [[*key, *_counted(verdicts, key)] for key in keys]
+
+
+def _key(one: FaultVerdict) -> tuple[str, str, str]:
+    return one.harm.pilot, one.harm.fault_class, one.harm.target
+
+
+def _counted(verdicts: Sequence[Sequence[FaultVerdict]], key: tuple[str, str, str]) -> Iterator[str]:
+    those = [[one for one in of_scheme if _key(one) == key] for of_scheme in verdicts]
+    yield str(len(those[0]))
+    for of_scheme in those:
+        yield str(sum(one.in_time for one in of_scheme))

@@ -1,0 +1,132 @@
+"""``zenfi detect``: how many of the faults that harm a mission do detectors catch in time?"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import track
+
+from dashboard.analysis import harm_coverage
+from dashboard.analysis.harm_coverage import BUDGETS, SchemeCoverage
+from dashboard.campaigns.results.harmful_faults import HarmfulFault, read_collection
+from dashboard.terminal.options import as_json
+from deploy.bench.detector_series import record as fly_and_watch
+from deploy.bench.harmful_series import flown_again, golden_missions
+from deploy.errors import BadSpecError
+from deploy.mission.fork_server import ForkServer
+from detector.evaluation.coverage import HarmReport, class_of, judged
+from detector.schemes.base import Scheme
+from detector.schemes.registry import load_detector, with_models
+from detector.series.series import Series, load_folder
+from services.models.outcome import Outcome
+
+HARMFUL, GOLDEN = "harmful", "golden"
+"""The folders of a recorded collection."""
+
+messages = Console(stderr=True)
+
+
+@click.group()
+def detect() -> None:
+    """Judge anomaly detectors on the faults that harm missions."""
+
+
+@detect.command()
+@click.argument("collection", metavar="HARMFUL.jsonl", type=click.Path(path_type=Path, dir_okay=False))
+@click.option("--output", type=click.Path(file_okay=False, path_type=Path), required=True, metavar="DIR")
+@click.option(
+    "--golden",
+    type=click.IntRange(2, 100_000),
+    default=1000,
+    show_default=True,
+    help="Flights of the same missions without a fault, with other seeds.",
+)
+def record(collection: Path, output: Path, golden: int) -> None:
+    """Fly a collection of `zenfi harm collect` and keep what detectors see.
+
+    Flights that DIR has already are not flown again.
+    """
+    faults = read_collection(collection)
+    if not faults:
+        message = f"{collection}: no harmful fault; zenfi harm collect LABEL --output {collection} makes one"
+        raise BadSpecError(message)
+    for name in (HARMFUL, GOLDEN):
+        (output / name).mkdir(parents=True, exist_ok=True)
+    differing = 0
+    with closing(ForkServer()) as server:
+        for fault in track(faults, "harmful", console=messages):
+            path = output / HARMFUL / f"{fault.campaign}-{fault.run}.npz"
+            if path.exists():
+                continue
+            flight = flown_again(fault.outcome, server)
+            if flight is None:
+                differing += 1
+            else:
+                Series(flight.checks, {**flight.about, "harm": report_of(fault).model_dump()}).save(path)
+        missions = list(golden_missions([one.outcome for one in faults], golden))
+        for mission in track(missions, "golden", console=messages):
+            path = output / GOLDEN / f"{mission.seed}.npz"
+            if not path.exists():
+                fly_and_watch(mission, server).save(path)
+    if differing:
+        message = f"{collection}: {differing} of {len(faults)} flights do not repeat here and were left out"
+        raise BadSpecError(message)
+
+
+def report_of(fault: HarmfulFault) -> HarmReport:
+    """What a collection knows of a fault, for those who judge detectors."""
+    outcome: Outcome = fault.outcome
+    assert outcome.spec.fault is not None  # noqa: S101 - only such flights are collected
+    assert outcome.injection is not None  # noqa: S101
+    return HarmReport(
+        struck=outcome.injection.node,
+        target=fault.target,
+        fault_class=class_of(outcome.spec.fault),
+        pilot=outcome.spec.pilot,
+        cause=fault.cause,
+        injected_s=outcome.injection.virtual_time_ns / 1e9,
+        harmed_at_s=fault.harmed_at_s,
+    )
+
+
+@detect.command()
+@click.argument("data", metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--scheme", "names", multiple=True, help="Default: all that have a model.")
+@click.option(
+    "--page", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE.md", help="Also a page."
+)
+@as_json
+def evaluate(data: Path, names: tuple[str, ...], page: Path | None, as_json: bool) -> None:
+    """Coverage of the harmful faults that `zenfi detect record` has kept in DIR, at equal false alarms.
+
+    All schemes are compared at 0.1 false alarms a flight and at 1 in 100 hours. Half of the golden flights
+    set the limit of the score, the others tell how many false alarms it gives.
+    """
+    flights = [*load_folder(data / HARMFUL), *load_folder(data / GOLDEN)]
+    if any("harm" not in one.about for one in flights if one.spec.fault is not None):
+        message = (
+            f"{data / HARMFUL}: holds flights of which no harm is known; make them by zenfi detect record"
+        )
+        raise BadSpecError(message)
+    makes = {name: partial(load_detector, name, learning=True) for name in names or with_models()}
+    for make in makes.values():
+        make()
+    found = [_of_scheme(name, make, flights) for name, make in makes.items()]
+    if as_json:
+        for one in found:
+            click.echo(json.dumps(harm_coverage.as_dict(one)))
+    else:
+        harm_coverage.show(Console(), found)
+    if page is not None:
+        harm_coverage.write(page, found, f"zenfi detect evaluate {data.name} --page {page.name}")
+
+
+def _of_scheme(name: str, make: Callable[[], Scheme], flights: Sequence[Series]) -> SchemeCoverage:
+    scores = [judged(make(), one) for one in track(flights, name, console=messages)]
+    return SchemeCoverage(name, [(budget, budget.coverage(scores)) for budget in BUDGETS])

@@ -1,0 +1,154 @@
+"""Of the faults that harmed a flight, how many a detector catches in time, at how many false alarms.
+
+Everything is told from recorded flights. The limit of the score is put on golden flights that nothing else is
+told from, so that all schemes are compared at the same number of false alarms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from detector.schemes.base import Floats, Scheme
+from detector.series.series import Series
+from services.models.base import Strict
+from services.models.faults.specification import FaultSpec
+
+SECONDS = 3600.0
+"""Of an hour."""
+
+
+class HarmReport(Strict):
+    """What is known of a flight that a fault harmed; times are virtual, in seconds.
+
+    ``struck`` is the node, sensor or motor; ``fault_class`` is ``once``, how the fault comes back, or
+    ``equipment``.
+    """
+
+    struck: str
+    target: str
+    fault_class: str
+    pilot: str
+    cause: str
+    injected_s: float
+    harmed_at_s: float
+
+
+def class_of(fault: FaultSpec) -> str:
+    """The class that a fault counts in: once, how it recurs, or equipment."""
+    return "equipment" if fault.at_equipment else fault.recurrence
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedFlight:
+    """The scores of all checks of a flight that took ``time_s``, in the order of their virtual times.
+
+    ``times_s`` (n,) in seconds, ``scores`` (n,); ``harm`` is None for a golden flight.
+    """
+
+    time_s: float
+    times_s: Floats
+    scores: Floats
+    harm: HarmReport | None = None
+
+    def alarms(self, limit: float) -> int:
+        """How many checks score above a limit."""
+        return int((self.scores > limit).sum())
+
+    def first_alarm_s(self, limit: float) -> float | None:
+        """When the first check at or after the fault scores above a limit; None if none does."""
+        begin = self.harm.injected_s if self.harm is not None else 0.0
+        found = self.times_s[(self.scores > limit) & (self.times_s >= begin)]
+        return float(found[0]) if len(found) else None
+
+
+def judged(scheme: Scheme, flight: Series) -> JudgedFlight:
+    """Have a scheme judge all checks of a flight, as it would in flight with nobody listening to it."""
+    times, scores = [], []
+    for stage, checks in flight.checks.items():
+        for index in range(len(checks)):
+            values = checks.values[checks.rows(index)]
+            scores.append(scheme.score(stage, values))
+            times.append(checks.times_s[index])
+            if scheme.check(stage, values) is not None:
+                scheme.reset(stage)
+    order = np.argsort(times, kind="stable")
+    harm = flight.about.get("harm")
+    return JudgedFlight(
+        float(flight.about["time_s"]),
+        np.array(times, dtype=np.float64)[order],
+        np.array(scores, dtype=np.float64)[order],
+        None if harm is None else HarmReport.model_validate(harm),
+    )
+
+
+def limit_within(flights: Iterable[JudgedFlight], most: int) -> float:
+    """The lowest limit at which these flights have at most so many alarms; infinite if there is none."""
+    scores = np.sort(np.concatenate([np.empty(0), *(one.scores for one in flights)]))[::-1]
+    return float(scores[most]) if most < len(scores) else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class FaultVerdict:
+    """What a detector said of one harmful fault: after how long, and how long the harm took."""
+
+    harm: HarmReport
+    alarm_s: float | None
+
+    @property
+    def in_time(self) -> bool:
+        """Whether there was an alarm before the harm."""
+        return self.alarm_s is not None and self.alarm_s < self.harm.harmed_at_s
+
+    @property
+    def margin_s(self) -> float | None:
+        """Seconds from the alarm to the harm; None without an alarm."""
+        return None if self.alarm_s is None else self.harm.harmed_at_s - self.alarm_s
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """What a detector does at one limit: false alarms of golden flights, and its verdict on each fault.
+
+    ``hours`` are those that the golden flights took, ``alarmed`` how many of them had an alarm.
+    """
+
+    limit: float
+    flights: int
+    hours: float
+    alarms: int
+    alarmed: int
+    verdicts: tuple[FaultVerdict, ...]
+
+    @property
+    def in_time(self) -> int:
+        """How many harmful faults are caught before they harm."""
+        return sum(one.in_time for one in self.verdicts)
+
+
+def coverage(limit: float, golden: Sequence[JudgedFlight], harmful: Sequence[JudgedFlight]) -> Coverage:
+    """Count what a limit finds. ``golden`` are flights that did not set it, ``harmful`` have ``harm``."""
+    return Coverage(
+        limit=limit,
+        flights=len(golden),
+        hours=sum(one.time_s for one in golden) / SECONDS,
+        alarms=sum(one.alarms(limit) for one in golden),
+        alarmed=sum(one.alarms(limit) > 0 for one in golden),
+        verdicts=tuple(
+            FaultVerdict(one.harm, one.first_alarm_s(limit)) for one in harmful if one.harm is not None
+        ),
+    )
+
+
+def at_budget(flights: Sequence[JudgedFlight], per_flight: float, per_hour: float) -> Coverage:
+    """The coverage at a budget of false alarms: so many a flight, and so many an hour.
+
+    Each other golden flight sets the limit, the rest tell how many false alarms it gives.
+    """
+    golden = [one for one in flights if one.harm is None]
+    setting, others = golden[::2], golden[1::2]
+    hours = sum(one.time_s for one in setting) / SECONDS
+    limit = limit_within(setting, int(per_flight * len(setting) + per_hour * hours))
+    return coverage(limit, others, [one for one in flights if one.harm is not None])

@@ -1,0 +1,59 @@
+"""``zenfi detect``: harmful faults are flown and kept, and schemes are judged on them."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from detector.series.series import load_folder
+from tests.dashboard.command import refusal, zenfi
+
+
+@pytest.fixture(scope="module")
+def recorded(collected: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recorded")
+    answer = zenfi("detect", "record", collected[1], "--output", folder, "--golden", 4)
+    assert answer.returncode == 0, answer.stderr
+    return folder
+
+
+def test_harmful_flights_are_kept_with_their_harm_beside_golden_ones_of_the_same_missions(
+    recorded: Path,
+) -> None:
+    harmful, golden = load_folder(recorded / "harmful"), load_folder(recorded / "golden")
+    assert [len(harmful), len(golden)] == [2, 4]
+    for one in harmful:
+        told = one.about["harm"]
+        assert (told["target"], told["fault_class"], told["pilot"]) == (
+            "command.velocity",
+            "permanent",
+            "guarded",
+        )
+        assert told["injected_s"] < told["harmed_at_s"] <= 8.0
+    assert len({one.spec.seed for one in (*harmful, *golden)}) == 6
+    for one in golden:
+        mission = harmful[0].spec.model_copy(update={"fault": None, "seed": one.spec.seed})
+        assert one.spec == mission
+
+
+def test_schemes_are_compared_at_the_same_false_alarms(recorded: Path, tmp_path: Path) -> None:
+    page = tmp_path / "detectors.md"
+    answer = zenfi("detect", "evaluate", recorded, "--json", "--page", page)
+    assert answer.returncode == 0, answer.stderr
+    found = {told["scheme"]: told for told in map(json.loads, answer.stdout.splitlines())}
+    assert set(found) >= {"gaussian", "autoencoder", "kinematic"}
+    for told in found.values():
+        assert [one["budget"] for one in told["budgets"]] == ["0.1 a flight", "1 in 100 h"]
+        assert {(one["golden_flights"], one["harmful"]) for one in told["budgets"]} == {(2, 2)}
+        for one in told["budgets"]:
+            caught = sum(fault["in_time"] for fault in one["faults"])
+            assert one["caught_in_time"] == caught
+            assert one["bounds"]["0.95"] == pytest.approx((0.0, 1 - 0.95**0.5, 0.05**0.5)[caught])
+    assert "| guarded | permanent | command.velocity | 2 |" in page.read_text()
+
+
+def test_bad_input_is_one_clear_line(recorded: Path, tmp_path: Path) -> None:
+    assert "makes one" in refusal("detect", "record", tmp_path / "absent", "--output", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    assert "no recorded flight" in refusal("detect", "evaluate", tmp_path)
+    assert "oracle" in refusal("detect", "evaluate", recorded, "--scheme", "oracle")
