@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from dashboard.api.routes.program_studies import NewProgramStudy
 from dashboard.campaigns.presets import scaled
 from dashboard.campaigns.spec import RecordingPolicy, load_campaign
 from dashboard.campaigns.store.listing import RunLine, RunQuery
@@ -59,6 +60,16 @@ STILL = (
 )
 LIVE = (Shot("live", "/live", 1280, 1450), Shot("system", "/system", 1280, 1720, before=check))
 HOME = Shot("home", "/", 1280, 780)
+PROGRAMS = (
+    Shot("programs", "/programs", 1280, 640),
+    Shot("program", "/programs/{study}", 1280, 1250),
+)
+STRUCK = """
+runs = 500
+
+[program]
+command = ["gzip", "-c", "/usr/share/common-licenses/GPL-3"]
+"""
 
 
 def main(folder: Path, store: Path | None) -> None:
@@ -68,7 +79,9 @@ def main(folder: Path, store: Path | None) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         where = store or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        service = stack.enter_context(serving(where))
+        allowed = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        (allowed / "gzip.toml").write_text(STRUCK)
+        service = stack.enter_context(serving(where, "--programs", str(allowed)))
         client = stack.enter_context(Client(service.address))
         if store is None:
             spec = scaled(load_campaign("fig7"), 0.1)
@@ -83,6 +96,9 @@ def main(folder: Path, store: Path | None) -> None:
         stack.callback(browser.close)
         for shot in STILL:
             take(browser, folder, shot, service.address + shot.path.format(label=label, run=run))
+        study = struck(client)
+        for shot in PROGRAMS:
+            take(browser, folder, shot, service.address + shot.path.format(study=study))
         with at_work(client):
             take(browser, folder, HOME, service.address + HOME.path)
         for shot in LIVE:
@@ -90,6 +106,13 @@ def main(folder: Path, store: Path | None) -> None:
             until(lambda: len(client.nodes()) > 0)
             take(browser, folder, shot, service.address + shot.path)
             remove(client, flight)
+
+
+def struck(client: Client) -> str:
+    """A study of a program, done."""
+    study = client.program_studies.create(NewProgramStudy(program="gzip")).study
+    until(lambda: client.program_studies.get(study).phase == "done")
+    return study
 
 
 def take(browser: Browser, folder: Path, shot: Shot, address: str) -> None:
