@@ -21,7 +21,6 @@ class SamplePoint(Strict):
 
     In a program's run passes are counted where the instruction at ``counted_at`` is, a few before; 0: at the
     address itself, by a breakpoint. The jump there leads by way of unused bytes at ``by_way_of``, unless 0.
-    ``one_thread``: of a program that has no other one.
     """
 
     index: int
@@ -29,7 +28,6 @@ class SamplePoint(Strict):
     hit: int
     counted_at: int = 0
     by_way_of: int = 0
-    one_thread: bool = False
 
     @property
     def at(self) -> Pass:

@@ -102,14 +102,7 @@ class ProgramApproach:
     def _count_down(self, thread: Tracee, memory: TranslationMemory) -> Tracee:
         """From the first pass through where they are counted to the drawn one."""
         point = self._point
-        countdown = Countdown(
-            self._program.process,
-            memory,
-            point.counted_at,
-            point.hit,
-            by_way_of=point.by_way_of,
-            one_thread=point.one_thread,
-        )
+        countdown = Countdown(self._program.process, memory, point.counted_at, point.hit, point.by_way_of)
         self._countdown = countdown
         self._program.resume(thread)
         while True:

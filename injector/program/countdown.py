@@ -37,7 +37,7 @@ SHORT_JUMP_BYTES = 2
 
 _WORD, _NEAR = struct.Struct("<q"), struct.Struct("<b")
 _SHORT = b"\xeb"
-_LOCK, _DECREMENT, _IF_LEFT = b"\xf0", b"\x48\xff\x0d", b"\x75"  # lock; dec qword [rip+d]; jnz
+_DECREMENT, _IF_LEFT = b"\x48\xff\x0d", b"\x75"  # dec qword [rip+d]; jnz
 _KEEP = b"\x48\x8d\x64\x24\x80\x50\x9f\x0f\x90\xc0"  # lea rsp,[rsp-128]; push rax; lahf; seto al
 _BACK = b"\x04\x7f\x9e\x58\x48\x8d\xa4\x24\x80\x00\x00\x00"  # add al,127; sahf; pop rax; lea rsp,[rsp+128]
 _MOVABLE = frozenset(
@@ -82,19 +82,11 @@ class Countdown:
     """Traps the program at a pass through an address; to be closed when it has, or before a fault."""
 
     def __init__(
-        self,
-        process: Process,
-        memory: TranslationMemory,
-        address: int,
-        passes: int,
-        *,
-        by_way_of: int = 0,
-        one_thread: bool = False,
+        self, process: Process, memory: TranslationMemory, address: int, passes: int, by_way_of: int = 0
     ) -> None:
         """Put the code into ``memory``: the ``passes``-th pass from now on is trapped before the instruction.
 
-        The jump leads there by way of bytes nearby, if their address is given. Passes of ``one_thread`` are
-        counted faster: no other can pass at the same time.
+        The jump leads there by way of bytes nearby, if their address is given.
 
         :raises TranslationError: if it cannot be put there.
         """
@@ -106,7 +98,7 @@ class Countdown:
             raise TranslationError(message)
         word = memory.words(1)
         process.write_memory(word, _WORD.pack(passes))
-        written, self.trapped_at = _countdown(memory.here, word, code, taken, b"" if one_thread else _LOCK)
+        written, self.trapped_at = _countdown(memory.here, word, code, taken)
         process.write_memory(memory.here, written)
         self._jumps = [(by_way_of or address, jump(by_way_of or address, memory.here))]
         if by_way_of:
@@ -153,12 +145,12 @@ def _room(process: Process, address: int) -> int:
     return mapping.end - address if mapping is not None else 0
 
 
-def _countdown(at: int, word: int, code: bytes, taken: Displaced, lock: bytes) -> tuple[bytes, int]:
+def _countdown(at: int, word: int, code: bytes, taken: Displaced) -> tuple[bytes, int]:
     """The code, and where its thread stands behind the trap; registers, flags and stack are the program's."""
     out = BlockWriter(at)
     if not taken.flags_are_free:
         out.code += _KEEP
-    out.referring(lock + _DECREMENT, word)
+    out.referring(_DECREMENT, word)  # no lock: all threads have one processor
     back = b"" if taken.flags_are_free else _BACK
     out.code += _IF_LEFT + bytes([len(back) + len(TRAP)]) + back + TRAP
     trapped_at = at + len(out.code)

@@ -42,17 +42,13 @@ class LaunchError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Order:
-    """What is to be launched. ``streams`` are path and flags of standard input, output and error.
-
-    ``processors``: those that it may use, all if there are none.
-    """
+    """What is to be launched. ``streams`` are path and flags of standard input, output and error."""
 
     executable: str
     arguments: Sequence[str]
     environment: Mapping[str, str]
     folder: str
     streams: Sequence[tuple[str, int]]
-    processors: Sequence[int] = ()
     largest_file: int = 1 << 40
 
 
@@ -75,9 +71,10 @@ def padded(executable: str, arguments: Sequence[str], environment: Mapping[str, 
 class Launcher:
     """The process that launches programs, one at a time; it dies with us, and they with it."""
 
-    def __init__(self) -> None:
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "injector.program.launcher"],
+    def __init__(self, processor: int) -> None:
+        """Start it; all that it launches has one ``processor``."""
+        self._process = subprocess.Popen(  # noqa: S603 - ours
+            [sys.executable, "-P", "-m", "injector.program.launcher", str(processor)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,

@@ -2,7 +2,8 @@
 
 It reads orders from standard input and writes answers to standard output, in lines of JSON; after the answer
 with the program's pid it waits for one more byte before the program begins. A program finds the same memory
-in each run: address randomisation is off, its stack and pid are the same, and it has no signals blocked.
+in each run: address randomisation is off, its stack and pid are the same, and it has no signals blocked. All
+of its threads have the processor that is named to us, whatever they ask for.
 
 Of Python and ours it has no more than it needs, so that forking takes half a millisecond.
 """
@@ -30,8 +31,8 @@ STACK_BYTES = 8 << 20
 """Soft limit of the stack, by which the kernel places what is mapped."""
 
 _PR_SET_NO_NEW_PRIVS, _PR_SET_SECCOMP, _PR_SET_CHILD_SUBREAPER, _FILTER = 38, 22, 36, 2
-_X86_64, _GETRANDOM = 0xC000003E, 318
-_TRACE, _ALLOW = 0x7FF00000, 0x7FFF0000  # what a filter answers
+_X86_64, _GETRANDOM, _SETAFFINITY = 0xC000003E, 318, 203
+_TRACE, _ALLOW, _RETURN_0 = 0x7FF00000, 0x7FFF0000, 0x00050000  # what a filter answers
 _LOAD, _JUMP_IF_EQUAL, _RETURN = 0x20, 0x15, 0x06
 _NUMBER_AT, _ARCHITECTURE_AT = 0, 4  # in struct seccomp_data
 _INSTRUCTION = struct.Struct("=HBBI")
@@ -46,7 +47,8 @@ def main() -> None:
     _have_default_signals()
     own_pids = pid_namespace.begin() != pid_namespace.NOWHERE and _next_pid_is_2()
     libc.prctl(_PR_SET_CHILD_SUBREAPER, 1)
-    _tell_of_getrandom()
+    os.sched_setaffinity(0, map(int, sys.argv[1:]))
+    _filter_calls()
     gc.freeze()
     orders = sys.stdin.buffer
     while line := orders.readline():
@@ -110,8 +112,6 @@ def _become(order: dict[str, Any], go: int, failure: int) -> NoReturn:
     try:
         os.setsid()
         os.chdir(order["folder"])
-        if order["processors"]:
-            os.sched_setaffinity(0, order["processors"])
         _set_limit(resource.RLIMIT_FSIZE, order["largest_file"])
         if not os.read(go, 1):
             os._exit(126)
@@ -133,19 +133,23 @@ def _have_default_signals() -> None:
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
 
 
-def _tell_of_getrandom() -> None:
-    """Have who traces what we start told of each call of getrandom(2): the rest runs at full speed.
+def _filter_calls() -> None:
+    """Have who traces what we start told of each call of getrandom(2), and sched_setaffinity(2) do nothing.
 
-    Without a tracer the call fails; this process makes none.
+    The rest runs at full speed. Threads on several processors would run in another order each time, and
+    passes through the same instruction at once would be counted as one. Without a tracer getrandom fails;
+    this process makes no such call.
     """
     program = b"".join(
         _INSTRUCTION.pack(*one)
         for one in (
             (_LOAD, 0, 0, _ARCHITECTURE_AT),
-            (_JUMP_IF_EQUAL, 0, 3, _X86_64),
+            (_JUMP_IF_EQUAL, 0, 5, _X86_64),
             (_LOAD, 0, 0, _NUMBER_AT),
             (_JUMP_IF_EQUAL, 0, 1, _GETRANDOM),
             (_RETURN, 0, 0, _TRACE),
+            (_JUMP_IF_EQUAL, 0, 1, _SETAFFINITY),
+            (_RETURN, 0, 0, _RETURN_0),
             (_RETURN, 0, 0, _ALLOW),
         )
     )

@@ -66,14 +66,7 @@ class ProgramProfile:
             return None
         by_breakpoint = drawn.hit <= FEW_PASSES and not self._several_threads
         at, way = (0, 0) if by_breakpoint else self._counted_at(drawn.address)
-        return SamplePoint(
-            index=index,
-            address=drawn.address,
-            hit=drawn.hit,
-            counted_at=at,
-            by_way_of=way,
-            one_thread=not self._several_threads,
-        )
+        return SamplePoint(index=index, address=drawn.address, hit=drawn.hit, counted_at=at, by_way_of=way)
 
     def _is_eligible(self, fault: FaultSpec, address: int) -> bool:
         try:

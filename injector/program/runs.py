@@ -59,7 +59,7 @@ class ProgramRuns:
         self._folder = Path(tempfile.mkdtemp(dir=self._scratch))
         self._of_run, self._of_golden = self._folder / "run", self._folder / "golden"
         self._of_run.mkdir()
-        self._launcher = Launcher()
+        self._launcher = Launcher(self._processor)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -87,7 +87,6 @@ class ProgramRuns:
                 (spec.stdin, os.O_RDONLY),
                 *((str(self._of_run / name), _WRITE) for name in STREAMS),
             ],
-            processors=[self._processor],
             largest_file=self._largest,
         )
         return self._launcher.launch(order, exits=counted)

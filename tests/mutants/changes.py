@@ -1335,12 +1335,21 @@ MUTANTS: list[Mutant] = [
         ("coverage: the limit allows an alarm more", "scores[most]", "scores[most + 1]"),
     ),
     *_of(
+        "injector/program/launcher.py",
+        "tests/injector/program/test_approach.py",
+        (
+            "program: threads go to the processors that they ask for",
+            "_SETAFFINITY = 0xC000003E, 318, 203",
+            "_SETAFFINITY = 0xC000003E, 318, 204",
+        ),
+    ),
+    *_of(
         "injector/program/approach.py",
         "tests/injector/program/test_approach.py",
         (
             "program: the countdown ends a pass early",
-            "            point.hit,\n",
-            "            point.hit - 1,\n",
+            "memory, point.counted_at, point.hit, point.by_way_of",
+            "memory, point.counted_at, point.hit - 1, point.by_way_of",
         ),
     ),
     *_of(
@@ -1350,11 +1359,6 @@ MUTANTS: list[Mutant] = [
             "program: passes are counted where others pass, too",
             "if self._passes[one] != self._passes[address]:",
             "if self._passes[one] > self._passes[address]:",
-        ),
-        (
-            "program: passes on several processors are counted as those on one",
-            "one_thread=not self._several_threads",
-            "one_thread=True",
         ),
     ),
     *_of(

@@ -92,7 +92,7 @@ def test_passes_of_all_threads_count(tmp_path: Path, options: tuple[str, ...]) -
 
 
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one processor")
-def test_passes_on_several_processors_at_once_count(tmp_path: Path) -> None:
+def test_passes_of_threads_that_ask_for_several_processors_count(tmp_path: Path) -> None:
     source = """
     #define _GNU_SOURCE
     #include <pthread.h>

@@ -11,6 +11,7 @@ from injector.program.launched_program import Launcher, LaunchError, Order, padd
 from tests.conftest import descendants, wait_until
 from tests.injector.program.launched import LIMIT_S, compiled
 
+PROCESSOR = min(os.sched_getaffinity(0))
 LOOK = """
 #include <stdio.h>
 #include <stdlib.h>
@@ -43,7 +44,7 @@ def told(launcher: Launcher, asked: Order) -> str:
 
 def test_a_program_finds_the_same_in_each_run_whatever_its_environment(tmp_path: Path) -> None:
     program = compiled(tmp_path, LOOK, "look")
-    with Launcher() as one, Launcher() as other:
+    with Launcher(PROCESSOR) as one, Launcher(PROCESSOR) as other:
         runs = {
             told(one, order(tmp_path, program, {"NAME": "short"})),
             told(one, order(tmp_path, program, {"NAME": "of another length" * 50})),
@@ -58,12 +59,12 @@ def test_what_cannot_be_executed_is_said(tmp_path: Path) -> None:
     text.write_text("no program")
     text.chmod(0o755)
     with (
-        Launcher() as launcher,
+        Launcher(PROCESSOR) as launcher,
         pytest.raises(LaunchError, match="Exec format error"),
         launcher.launch(order(tmp_path, text, {})),
     ):
         pass
-    with Launcher() as launcher:
+    with Launcher(PROCESSOR) as launcher:
         assert told(launcher, order(tmp_path, "/bin/echo", {}, "hello")) == "hello\n"
 
 
@@ -71,7 +72,7 @@ def test_nothing_of_a_run_is_left(tmp_path: Path) -> None:
     asked = order(
         tmp_path, "/bin/sh", {"PATH": "/usr/bin:/bin"}, "-c", "sleep 1000 & setsid sleep 1000 & wait"
     )
-    with Launcher() as launcher:
+    with Launcher(PROCESSOR) as launcher:
         with launcher.launch(asked) as program:
             assert not program.run_to_end(0.5)
             started = {thread.pid for thread in program.threads.values()}
@@ -85,7 +86,7 @@ def test_all_die_with_who_traces_them(tmp_path: Path) -> None:
     pid = os.fork()
     if not pid:
         try:
-            with Launcher() as launcher, launcher.launch(asked) as program:
+            with Launcher(PROCESSOR) as launcher, launcher.launch(asked) as program:
                 program.run_to_end(LIMIT_S)
         finally:
             os._exit(1)

@@ -223,9 +223,10 @@ def test_a_cluster_without_slots_is_refused_with_nothing_stored(tmp_path: Path) 
         with durability.zenfi(store, "run", durability.spec(tmp_path), "--executor", at) as command:
             _, said = command.communicate(timeout=60)
             assert command.returncode == 2
-    (line,) = said.decode().splitlines()
-    assert "has the resource zenfi_slot" in line
-    assert "--resources zenfi_slot=1" in line
+    lines = said.decode().splitlines()
+    assert len(lines) == 1, lines
+    assert "has the resource zenfi_slot" in lines[0]
+    assert "--resources zenfi_slot=1" in lines[0]
     assert not (store / "zenfi.sqlite").exists()
 
 
