@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -24,6 +25,7 @@ from detector.evaluation.coverage import HarmReport, class_of, judged
 from detector.schemes.base import Scheme
 from detector.schemes.registry import load_detector, with_models
 from detector.series.series import Series, load_folder
+from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
 
 HARMFUL, GOLDEN = "harmful", "golden"
@@ -61,7 +63,7 @@ def record(collection: Path, output: Path, golden: int) -> None:
     differing = 0
     with closing(ForkServer()) as server:
         for fault in track(faults, "harmful", console=messages):
-            path = output / HARMFUL / f"{fault.campaign}-{fault.run}.npz"
+            path = output / HARMFUL / _file_of(fault.outcome.spec)
             if path.exists():
                 continue
             flight = flown_again(fault.outcome, server)
@@ -71,12 +73,17 @@ def record(collection: Path, output: Path, golden: int) -> None:
                 Series(flight.checks, {**flight.about, "harm": report_of(fault).model_dump()}).save(path)
         missions = list(golden_missions([one.outcome for one in faults], golden))
         for mission in track(missions, "golden", console=messages):
-            path = output / GOLDEN / f"{mission.seed}.npz"
+            path = output / GOLDEN / _file_of(mission)
             if not path.exists():
                 fly_and_watch(mission, server).save(path)
     if differing:
         message = f"{collection}: {differing} of {len(faults)} flights do not repeat here and were left out"
         raise BadSpecError(message)
+
+
+def _file_of(mission: MissionSpec) -> str:
+    """The name of a flight's file: that of no other mission, and in an order that says nothing of it."""
+    return f"{hashlib.blake2b(mission.model_dump_json().encode(), digest_size=16).hexdigest()}.npz"
 
 
 def report_of(fault: HarmfulFault) -> HarmReport:

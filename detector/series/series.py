@@ -75,8 +75,10 @@ class Series:
                 f"{stage}.first": checks.first,
                 f"{stage}.times_s": checks.times_s,
             }
-        with path.open("wb") as file:
+        part = path.with_suffix(".part")
+        with part.open("wb") as file:
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+        part.replace(path)  # who is interrupted leaves no half of a flight
 
 
 def load_series(path: Path) -> Series:

@@ -47,7 +47,7 @@ def main() -> None:
     _have_default_signals()
     own_pids = pid_namespace.begin() != pid_namespace.NOWHERE and _next_pid_is_2()
     libc.prctl(_PR_SET_CHILD_SUBREAPER, 1)
-    os.sched_setaffinity(0, map(int, sys.argv[1:]))
+    os.sched_setaffinity(0, {int(sys.argv[1])})
     _filter_calls()
     gc.freeze()
     orders = sys.stdin.buffer

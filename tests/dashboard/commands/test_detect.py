@@ -36,6 +36,16 @@ def test_harmful_flights_are_kept_with_their_harm_beside_golden_ones_of_the_same
         assert one.spec == mission
 
 
+def test_what_is_there_is_not_flown_again_and_a_larger_collection_loses_nothing(
+    recorded: Path, collected: tuple[Path, Path], tmp_path: Path
+) -> None:
+    before = {path: path.stat().st_mtime_ns for path in recorded.rglob("*.npz")}
+    one = tmp_path / "one.jsonl"
+    one.write_text(collected[1].read_text().splitlines(keepends=True)[0])
+    assert zenfi("detect", "record", one, "--output", recorded, "--golden", 4).returncode == 0
+    assert {path: path.stat().st_mtime_ns for path in recorded.rglob("*.npz")} == before
+
+
 def test_schemes_are_compared_at_the_same_false_alarms(recorded: Path, tmp_path: Path) -> None:
     page = tmp_path / "detectors.md"
     answer = zenfi("detect", "evaluate", recorded, "--json", "--page", page)
