@@ -70,6 +70,8 @@ def _moment(one: ProcessInjection, record: InjectionRecord) -> str:
     if one.step is not None:
         of = f" of {one.instructions}" if one.instructions is not None else ""
         parts.append(f"instruction {one.step}{of}")
+    if one.hit is not None:
+        parts.append(f"pass {one.hit} through it, of {one.instructions} instructions")
     if one.cpu_ns is not None:
         parts.append(f"after {one.cpu_ns / 1e6:.3f} ms of processor time")
     if one.function:
@@ -77,7 +79,9 @@ def _moment(one: ProcessInjection, record: InjectionRecord) -> str:
     if one.rehearsals:
         parts.append(f"{one.rehearsals} calls rehearsed")
     if one.missed:
-        parts.append(f"{one.missed} calls over before the moment drawn for them")
+        parts.append(f"{one.missed} calls over before what was drawn for them")
+    if one.uncounted:
+        parts.append(f"not counted: {one.uncounted}")
     if record.resampled:
         parts.append(f"{record.resampled} passed over")
     return ", ".join(parts)

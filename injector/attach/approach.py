@@ -1,7 +1,4 @@
-"""Approach in a process that does not cooperate: by function, by library, or by processor time.
-
-No probe of it can be sent ahead, so earlier calls of the function are observed instead: the rehearsals.
-"""
+"""Approach in a process that does not cooperate: by library, or by processor time."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -33,22 +29,11 @@ from injector.tracing.tracee import Tracee
 from injector.tracing.waiting import wait_until
 from services.models.faults.specification import FaultSpec
 
-SHORT_NS = 2_000_000
-"""Longest thread time of a call that is stepped through."""
-
-MOST_STEPS = 20_000
-"""Instructions after which a call counts as too long for that: a second of wall time."""
-
 CPU_S = (0.0, 0.01)
 """Thread time within which a fault is injected, if nothing else is asked for."""
 
 SAMPLE_NS = 1_000_000
 """Most thread time between two looks at whether a thread is in a library."""
-
-CALLS_LEFT = 8
-"""Calls that were left before they returned, after which no other one is observed."""
-
-_FOR_EVER_NS = 10**15
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +68,8 @@ class ApproachReport:
     cpu_ns: int | None = None
     rehearsals: int = 0
     missed: int = 0
+    hit: int | None = None
+    uncounted: str = ""
 
 
 class CallOverError(MissedError):
@@ -91,7 +78,10 @@ class CallOverError(MissedError):
 
 @dataclass
 class AttachApproach(Approach):
-    """Brings a thread of any process to the injection point. ``report`` tells how far it came."""
+    """Brings a thread of any process to the injection point. ``report`` tells how far it came.
+
+    ``asked`` is the fault that was asked for, ``fault`` what is done: in a dry run nothing.
+    """
 
     DIED = "the process ended before the fault"
 
@@ -99,100 +89,21 @@ class AttachApproach(Approach):
     process: Process
     target: AttachTarget
     fault: FaultSpec
+    asked: FaultSpec
     corruption: Corruption
     draw: np.random.Generator
     report: ApproachReport = field(default_factory=ApproachReport)
     _deadline: float = 0.0
-    _took_ns: int = 0
-
-    @cached_property
-    def _calls(self) -> FunctionCalls:
-        assert self.target.function is not None  # noqa: S101 - what is asked for is a call of one
-        return FunctionCalls(self.tracees, self.process, self.target.function, self.target.limit_s)
 
     def _run(self) -> InjectionResult:
         self._deadline = time.monotonic() + self.target.limit_s + self.target.after_s[1]
         self.report.tid = self.target.tids[0]
         self._wait(self._between(self.target.after_s))
-        if self.target.function is not None:
-            return self._in_a_call()
+        return self._strike()
+
+    def _strike(self) -> InjectionResult:
         thread = self._thread(self.target.tids[0])
         return self._in_a_library(thread) if self.target.code else self._after(thread, None)
-
-    # -- in a call of a function --------------------------------------------------------------------
-
-    def _in_a_call(self) -> InjectionResult:
-        threads = [self.tracees.threads[tid] for tid in self.target.tids if tid in self.tracees.threads]
-        low, high = self.target.call
-        number = self.report.call = low + int(self.draw.integers(high - low + 1))
-        if self.target.step is not None:
-            self.report.precision, self.report.step = "exact", self.target.step
-        elif self.target.cpu_s is None:
-            threads = [self._rehearse(threads)]
-        thread = self._arrive(threads, number)
-        if self._took_ns:
-            return self._at_a_moment(thread)
-        frame = self._calls.frame(thread)
-        if self.report.step is None:
-            return self._after(thread, frame)
-        for taken in range(self.report.step):
-            self._step(thread)
-            if FunctionCalls.is_over(thread, frame):
-                raise MissedError(
-                    "not_reached",
-                    f"the call had {taken + 1} instructions, the drawn one is number {self.report.step}",
-                )
-        return self._inject(thread, frame)
-
-    def _rehearse(self, threads: list[Tracee]) -> Tracee:
-        """Learn from one or two calls how long they are, and draw a place; whose calls they were."""
-        thread, took_ns = self._timed(threads)
-        if took_ns <= SHORT_NS and self._stepped_through(thread):
-            return thread
-        self._took_ns = took_ns
-        return thread
-
-    def _timed(self, threads: list[Tracee]) -> tuple[Tracee, int]:
-        """A call that returned, and the thread time that it took; those that were left are passed over."""
-        for _ in range(CALLS_LEFT):
-            thread = self._arrive(threads, 1)
-            frame = self._calls.frame(thread)
-            self.report.rehearsals += 1
-            with ThreadTimer(thread, _FOR_EVER_NS, self.tracees.notice) as timer:
-                if self._calls.complete(thread, frame):
-                    return thread, timer.spent_ns
-        reason = f"{CALLS_LEFT} calls in a row were left by a jump or an exception: give --step or --cpu-s"
-        raise MissedError("not_reached", reason)
-
-    def _stepped_through(self, thread: Tracee) -> bool:
-        """Step through a call and draw one of its instructions; False if there are too many."""
-        self._arrive([thread], 1)
-        frame = self._calls.frame(thread)
-        self.report.rehearsals += 1
-        for taken in range(1, MOST_STEPS + 1):
-            self._step(thread)
-            if FunctionCalls.is_over(thread, frame):
-                self.report.precision = "rehearsed"
-                self.report.instructions, self.report.step = taken, int(self.draw.integers(taken))
-                return True
-        self._calls.complete(thread, frame)
-        return False
-
-    def _at_a_moment(self, thread: Tracee) -> InjectionResult:
-        """Inject at a drawn moment of a call; if that is over before, of the next one."""
-        while True:
-            self.report.cpu_ns = int(self.draw.random() * self._took_ns)
-            try:
-                return self._after(thread, self._calls.frame(thread))
-            except CallOverError:
-                self.report.missed += 1
-                self.report.call += 1
-            thread = self._arrive([thread], 1)
-
-    def _arrive(self, threads: list[Tracee], number: int) -> Tracee:
-        thread = self._calls.arrive(threads, number)
-        self.report.tid = thread.tid
-        return thread
 
     # -- by time ------------------------------------------------------------------------------------
 
@@ -242,13 +153,16 @@ class AttachApproach(Approach):
 
             def insist() -> None:
                 timer.insist()
-                if frame is not None and self._calls.is_left_asleep(thread, frame):
-                    raise CallOverError("not_reached", "the call was left, and its thread waits elsewhere")
+                if frame is not None:
+                    self._check_asleep(thread, frame)
 
             self.tracees.resume_all()
             if self.tracees.await_one([thread], lambda _: True, self._deadline, insist) is None:
                 used = f"used {timer.spent_ns / 1e9:.3g} s of processor time in {self.target.limit_s:g} s"
                 raise MissedError("not_reached", f"thread {thread.tid} {used}")
+
+    def _check_asleep(self, thread: Tracee, frame: CallFrame) -> None:
+        """Raise an error if a thread waits in the kernel outside of a call of its own."""
 
     def _jitter_within(self, thread: Tracee, frame: CallFrame | None) -> None:
         """Step on, but not out of the call: a timer does not trap at every instruction alike."""

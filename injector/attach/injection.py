@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from injector.attach.approach import AttachApproach, AttachTarget
+from injector.attach.call_approach import CallApproach
 from injector.attach.permission import AttachRefusedError, changed, name_of, not_permitted
 from injector.attach.stopped_process import StoppedApproach
 from injector.attach.untrapped_tracees import UntrappedTracees, notice_for
@@ -74,7 +75,9 @@ class ProcessInjection(Strict):
     instructions: int | None = None
     cpu_ns: int | None = None
     rehearsals: int = 0
-    missed: int = Field(default=0, description="calls that were over before the moment drawn for them")
+    missed: int = Field(default=0, description="calls that were over before what was drawn for them")
+    hit: int | None = Field(default=None, description="which pass through the instruction, in a counted call")
+    uncounted: str = Field(default="", description="why a long call was not counted but its moment drawn")
     injection: InjectionRecord
     aftermath: Aftermath
 
@@ -118,7 +121,8 @@ def inject_into(
         if stopped:
             one = StoppedApproach(tracees, process, target.tids[0], done, corruption, draw)
         else:
-            one = AttachApproach(tracees, process, target, done, corruption, draw)
+            kind = AttachApproach if target.function is None else CallApproach
+            one = kind(tracees, process, target, done, fault, corruption, draw)
         result = one.run()
         maps, thread = process.maps(), name_of(one.report.tid)
         if not stopped:

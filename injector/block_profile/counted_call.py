@@ -92,6 +92,7 @@ class CountedCall(TranslatedCode):
         if self._left:
             self.watch(next(iter(self._left)))
         self._begun, self._traps = False, 0
+        self.limit_s = LIMIT_S
         self.overwrite()
 
     def _prepare_stop(self, address: int) -> Counters:
@@ -141,7 +142,7 @@ class CountedCall(TranslatedCode):
 
     @contextmanager
     def _limited(self) -> Iterator[None]:
-        watchdog = threading.Timer(LIMIT_S, os.kill, (self._process.pid, signal.SIGKILL))
+        watchdog = threading.Timer(self.limit_s, os.kill, (self._process.pid, signal.SIGKILL))
         watchdog.start()
         try:
             yield
@@ -159,8 +160,7 @@ class CountedCall(TranslatedCode):
         self._begun = True
         number = 0
         while True:
-            ptrace.resume(tid, number)
-            report = ptrace.await_report(tid)
+            report = self._next_report(number)
             self._thread.report = StopReport("step") if report.kind != "gone" else report
             number = 0
             if report.kind == "gone":
@@ -178,6 +178,11 @@ class CountedCall(TranslatedCode):
                 raise UncountableError(message)
             elif report.kind == "signal":
                 number = report.signal
+
+    def _next_report(self, number: int) -> StopReport:
+        """Let the copy run, with a signal if there is one; what it reports then."""
+        ptrace.resume(self._thread.tid, number)
+        return ptrace.await_report(self._thread.tid)
 
     def _passed_stop(self, address: int) -> int:
         """The number of the pass before which the call stopped; the next one at this address is awaited."""

@@ -118,6 +118,10 @@ class MemoryMap:
         """The pieces that may be written."""
         return (_mapping(line) for line in self._lines if "w" in line.split(maxsplit=2)[1])
 
+    def shared(self) -> Iterator[MemoryMapping]:
+        """The pieces of which a write is seen by others, or in a file."""
+        return (_mapping(line) for line in self._lines if "s" in line.split(maxsplit=2)[1])
+
     @property
     def extents(self) -> tuple[str, ...]:
         """Where pieces lie and what may be done with them, in order: ``"START-END PERMISSIONS"``."""

@@ -21,7 +21,7 @@ from services.system.libc import libc_with_gil
 
 _PEEKUSER, _POKEUSER, _CONT, _SINGLESTEP, _DETACH, _SYSCALL = 3, 6, 7, 9, 17, 24
 _SEIZE, _INTERRUPT, _LISTEN = 0x4206, 0x4207, 0x4208
-_GETEVENTMSG, _GETSIGINFO, _PEEKSIGINFO = 0x4201, 0x4202, 0x4209
+_SETOPTIONS, _GETEVENTMSG, _GETSIGINFO, _PEEKSIGINFO = 0x4200, 0x4201, 0x4202, 0x4209
 _GETREGSET, _SETREGSET, _GET_SYSCALL_INFO = 0x4204, 0x4205, 0x420E
 _GETSIGMASK, _SETSIGMASK, _SIGSET_SIZE = 0x420A, 0x420B, 8
 _WORD = struct.Struct("=Q")
@@ -164,9 +164,14 @@ def seize_launched(tid: int, *, exits: bool = False) -> None:
     _call(_SEIZE, tid, data=started | _O_TRACEEXEC | _O_TRACESECCOMP | _O_EXITKILL)
 
 
-def resume_to_call(tid: int) -> None:
+def die_with_us(tid: int) -> None:
+    """Have a standing tracee die with us, and report calls of the kernel; what it starts is not traced."""
+    _call(_SETOPTIONS, tid, data=_O_EXITKILL | _O_TRACESYSGOOD)
+
+
+def resume_to_call(tid: int, signal_number: int = 0) -> None:
     """Let a tracee run to the beginning or the end of a call of the kernel, where it reports."""
-    _call(_SYSCALL, tid)
+    _call(_SYSCALL, tid, data=signal_number)
 
 
 def system_call(tid: int) -> SystemCall | None:
@@ -342,12 +347,7 @@ def _report(tid: int, status: int) -> StopReport:
     if status == _STOPPED_BY_INTERRUPT:  # what is met in a pause
         return _INTERRUPTED
     if not os.WIFSTOPPED(status):
-        killed = os.WIFSIGNALED(status)
-        return (
-            StopReport("gone", os.WTERMSIG(status))
-            if killed
-            else StopReport("gone", 0, os.WEXITSTATUS(status))
-        )
+        return StopReport("gone", os.WTERMSIG(status), os.WEXITSTATUS(status))
     number, event = os.WSTOPSIG(status), status >> 16
     if event == _EVENT_STOP:
         return StopReport("group_stop" if number in _STOP_SIGNALS else "interrupted", number)

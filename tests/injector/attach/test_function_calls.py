@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from injector.attach.approach import CALLS_LEFT, AttachTarget
+from injector.attach.approach import AttachTarget
+from injector.attach.call_approach import CALLS_LEFT
 from injector.attach.function_calls import CalledFunction
 from injector.attach.injection import ProcessInjection, inject_into
 from injector.attach.permission import admit
