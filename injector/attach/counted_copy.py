@@ -51,7 +51,7 @@ _HARMLESS = frozenset(
         *(13, 14, 15, 131, 127),  # signal handlers and masks
         *(17, 295),  # pread64, preadv
         *(24, 39, 63, 96, 98, 99, 100, 102, 104, 107, 108, 110, 186, 201, 204, 228, 229, 309, 318),
-        *(158, 273, 324, 334),  # arch_prctl, set_robust_list, membarrier, rseq
+        *(158, 324, 334),  # arch_prctl, membarrier, rseq
     }
 )
 """Numbers of calls of the kernel that change nothing outside of the process: the long row asks for numbers,
@@ -206,8 +206,10 @@ class _HarmlessCall(CountedCall):
         if number == _MMAP:
             return not arguments[3] & _SHARED
         if number == _FUTEX:
-            return arguments[1] & _FUTEX_COMMAND not in _WAITS
+            return arguments[1] & _FUTEX_COMMAND not in _WAITS and not self._is_shared(arguments[0], 1)
         if number in _PROTECTING:
-            begin, end = arguments[0], arguments[0] + arguments[1]
-            return not any(begin < there and start < end for start, there in self._shared)
+            return not self._is_shared(*arguments[:2])
         return number in _HARMLESS
+
+    def _is_shared(self, begin: int, size: int) -> bool:
+        return any(begin < end and start < begin + size for start, end in self._shared)

@@ -91,42 +91,12 @@ class UntrappedTracees(TraceeGroup):
 
         return wait_until(look, deadline - time.monotonic())
 
-    def run_to(self, thread: Tracee, address: int, limit_s: float) -> int:
-        """Let all run until a thread stands at an address, where a breakpoint of its own stops it.
-
-        What it has forked meanwhile, which stands and is none of these threads; 0: nothing.
-
-        :raises GoneError: if it is killed.
-        :raises TargetError: if it does not come there in time.
-        """
-        forked = 0
+    def news_of(self, thread: Tracee) -> StopReport | None:
+        """What a running thread reports, if anything; the others are seen to, and go on."""
+        thread.report = StopReport("step")
+        self.service()
         thread.report = None
-        ptrace.resume(thread.tid)
-
-        def look() -> Literal[True] | None:
-            nonlocal forked
-            thread.report = StopReport("step")  # the others are seen to meanwhile
-            self.service()
-            thread.report = None
-            report = self._look(thread)
-            if report is None:
-                return None
-            if report.kind == "gone":
-                message = f"thread {thread.tid} was killed"
-                raise GoneError(message)
-            if report.kind == "new_thread":
-                forked = ptrace.started(thread.tid)
-                self.threads.pop(forked, None)
-            if report.kind == "timer" and self._address(thread) == address:
-                return True
-            thread.report = None
-            ptrace.resume(thread.tid)  # its signals are owed until it is where it was
-            return None
-
-        if wait_until(look, limit_s) is None:
-            message = f"thread {thread.tid} did not come back within {limit_s:g} s"
-            raise TargetError(message)
-        return forked
+        return self._look(thread)
 
     def resume_others(self, thread: Tracee) -> None:
         """Let all but one standing thread run: it may wait for them."""
