@@ -35,6 +35,9 @@ COPY_S = 2.0
 LOOK_NS = 10_000_000
 """Thread time between two looks at whether a call is still under way."""
 
+MOST_HITS = 2**62
+"""Passes that the kernel counts at most, and more than any call has."""
+
 LOOP_BYTES = 4096
 """Bytes of code of a function that are searched for jumps to its beginning."""
 
@@ -204,7 +207,8 @@ class FunctionCalls:
         return False
 
     def _complete(self, thread: Tracee, frame: CallFrame) -> bool:
-        notice, entry, hit = self._tracees.notice, address_of(thread), 1
+        notice, hit = self._tracees.notice, 1
+        (entry,) = self._entries  # a thread that has been stepped on stands elsewhere
         with ExitStack() as held:
             held.enter_context(Breakpoint(thread, frame.returns_to, 1, notice))
             # Who calls it again, with as much on the stack as before, has left it. Whom it calls itself has
@@ -229,7 +233,7 @@ class FunctionCalls:
                 if here == entry and stack == frame.stack and not self._jumps_to(entry):
                     return False
                 if here == entry:
-                    hit *= 2
+                    hit = min(2 * hit, MOST_HITS)
                     again.aim(hit)
 
     def _jumps_to(self, entry: int) -> bool:

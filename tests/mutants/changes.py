@@ -20,6 +20,40 @@ def _of(path: str, tests: str, *changes: tuple[str, str, str]) -> list[Mutant]:
 
 MUTANTS: list[Mutant] = [
     *_of(
+        "injector/attach/process_copy.py",
+        "tests/injector/attach/test_counted_copy.py",
+        ("process copy: its end is told by SIGCHLD", "_CLONE_FILES = 0x400\n", "_CLONE_FILES = 0x411\n"),
+        (
+            "process copy: who is left alone leaves a child",
+            '_BURY = b"\\x89\\xc7"',
+            '_BURY = b"\\x31\\xff"',
+        ),
+        ("process copy: a filter's program is copied", "^Seccomp:\\s*[12]", "^Seccomp:\\s*[3]"),
+        (
+            "process copy: it writes what others share",
+            "            for shared in process.maps().shared():\n",
+            "            for shared in ():\n",
+        ),
+    ),
+    *_of(
+        "injector/attach/call_approach.py",
+        "tests/injector/attach/test_counted_copy.py",
+        (
+            "call approach: one pass too many after the way",
+            "way.rest if way is not None else drawn.hit)",
+            "way.rest + 1 if way is not None else drawn.hit)",
+        ),
+    ),
+    *_of(
+        "injector/attach/counted_copy.py",
+        "tests/injector/attach/test_counted_copy.py",
+        (
+            "counted copy: it asks the kernel for anything",
+            "if asked is not None and not self._is_harmless(asked):",
+            "if asked is not None and False:",
+        ),
+    ),
+    *_of(
         "services/models/oracles/properties.py",
         "tests/services/models/oracles/test_properties.py",
         ("properties: <= counts as >=", "    if not wanted.at_least:\n", "    if False:\n"),
