@@ -202,7 +202,9 @@ class _HarmlessCall(CountedCall):
         return wait_until(look, 2 * self.limit_s) or StopReport("gone")
 
     def _is_harmless(self, asked: SystemCall) -> bool:
-        number, arguments = asked
+        number, arguments, native = asked
+        if not native:
+            return False
         if number == _MMAP:
             return not arguments[3] & _SHARED
         if number == _FUTEX:

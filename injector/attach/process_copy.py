@@ -21,7 +21,7 @@ from injector.block_profile.injected_call import CopyError, injected_call
 from injector.faults.stopped_thread import TargetError
 from injector.isa.x86_64_registers import X8664Registers
 from injector.tracing import ptrace
-from injector.tracing.elf import code_sections
+from injector.tracing.elf import segment_end
 from injector.tracing.perf_events import Breakpoint
 from injector.tracing.process import AddressError, Process, ProcessIdentity, VanishedError
 from injector.tracing.ptrace import NT_PRSTATUS, GoneError, StopReport
@@ -72,21 +72,27 @@ def copy_at_entry(
     :raises GoneError: if the thread is killed.
     """
     own = ptrace.read_registers(thread.tid, NT_PRSTATUS, _SET_SIZE)
-    place, true = _place(process)
+    place, true = _place(process, thread.tid)
+    detour = _Detour(tracees, thread)
     try:
-        with process.changed_code(place, _FORK, true):
-            detour = _Detour(tracees, thread)
-            with Breakpoint(thread, detour.entry, 1, tracees.notice):
-                detour.begin(process, place)
-                try:
-                    copy = Tracee(detour.copy, detour.copy, StopReport("interrupted"))
-                    with _standing(copy, own, place, true) as copied:
-                        yield copy, copied
-                finally:
-                    _end(detour.copy)
-                    detour.end()
+        process.write_memory(place, _FORK)
+        if process.read_memory(place, len(_FORK)) != _FORK:
+            raise CopyError(f"process {process.pid} was not copied: its code cannot be written")
+        with Breakpoint(thread, detour.entry, 1, tracees.notice):
+            detour.begin(process, place)
+            try:
+                copy = Tracee(detour.copy, detour.copy, StopReport("interrupted"))
+                with _standing(copy, own, place, true) as copied:
+                    yield copy, copied
+            finally:
+                _end(detour.copy)
+                detour.end()
     except AddressError as error:
         raise CopyError(f"process {process.pid} was not copied: {error}") from error
+    finally:
+        if detour.is_back:  # else it needs them still, and nobody what was there
+            with suppress(AddressError):
+                process.write_memory(place, true)
 
 
 @contextmanager
@@ -102,7 +108,8 @@ def _standing(copy: Tracee, own: bytearray, place: int, true: bytes) -> Iterator
             for shared in process.maps().shared():
                 if "w" in shared.permissions:
                     size = shared.end - shared.start
-                    injected_call(copy.tid, process, _MPROTECT, shared.start, size, _PROT_READ)
+                    if injected_call(copy.tid, process, _MPROTECT, shared.start, size, _PROT_READ):
+                        raise CopyError("memory that it shares with others could not be protected")
             yield process
     except (AddressError, VanishedError, ptrace.GoneError) as error:
         raise CopyError(f"the copy was killed: {error}") from error
@@ -123,7 +130,7 @@ class _Detour:
         self._tracees, self._thread = tracees, thread
         self.entry = X8664Registers(thread.tid).program_counter
         self.copy = 0
-        self._is_back = False
+        self.is_back = True
 
     def begin(self, process: Process, place: int) -> None:
         """Have the thread fork a copy; it waits for the end of that, its registers on the stack.
@@ -139,9 +146,9 @@ class _Detour:
         for name, value in {"rip": place, "rsp": frame, "rax": _CLONE, **arguments}.items():
             registers.put(name, value)
         registers.commit()
-        self._thread.report = None
+        self._thread.report, self.is_back = None, False
         ptrace.resume(self._thread.tid)
-        self._run(lambda: self.copy > 0 or self._is_back)
+        self._run(lambda: self.copy > 0 or self.is_back)
         if not self.copy:
             raise CopyError(f"process {process.pid} was not copied: the kernel gives it no memory or process")
         self._thread.report = StopReport("step")  # it waits; what it reports can wait, too
@@ -149,7 +156,7 @@ class _Detour:
     def end(self) -> None:
         """Have the thread stand where it stood; its copy has ended."""
         self._thread.report = None
-        self._run(lambda: self._is_back)
+        self._run(lambda: self.is_back)
 
     def _run(self, is_there: Callable[[], bool]) -> None:
         def look() -> Literal[True] | None:
@@ -171,15 +178,18 @@ class _Detour:
         if report.kind == "new_thread":
             self.copy = ptrace.started(thread.tid)
             self._tracees.threads.pop(self.copy, None)
-        self._is_back = report.kind == "timer" and ptrace.program_counter(thread.tid) == self.entry
-        if not self._is_back:
+        self.is_back = report.kind == "timer" and ptrace.program_counter(thread.tid) == self.entry
+        if not self.is_back:
             thread.report = None
             ptrace.resume(thread.tid)  # its signals are owed until it is where it was
 
 
-def _place(process: Process) -> tuple[int, bytes]:
-    """Where the few instructions may lie, and what is there: behind a file's code, at a page's end."""
-    status = Path(f"/proc/{process.pid}/status").read_text()
+def _place(process: Process, tid: int) -> tuple[int, bytes]:
+    """Where the few instructions may lie, and what is there: behind a file's segment, at a page's end."""
+    try:
+        status = Path(f"/proc/{process.pid}/task/{tid}/status").read_text()
+    except OSError as error:
+        raise CopyError(f"process {process.pid} ends") from error
     if "shstk" in status.partition("x86_Thread_features:")[2].partition("\n")[0]:
         raise CopyError("the processor guards the program's return addresses (shadow stack)")
     if status.partition("Seccomp:")[2].split(maxsplit=1)[0] != "0":
@@ -187,6 +197,6 @@ def _place(process: Process) -> tuple[int, bytes]:
     for piece in process.maps().code():
         if piece.permissions == "r-xp" and piece.path:
             place = piece.end - len(_FORK)
-            if max(end for _, end in code_sections(process.pid, piece)) <= place:
+            if segment_end(process.pid, piece) <= place:
                 return place, process.read_memory(place, len(_FORK))
     raise CopyError("no file of the program has room behind its code")

@@ -253,6 +253,18 @@ def code_sections(pid: int, mapping: MemoryMapping) -> list[tuple[int, int]]:
     return found or [(mapping.start, mapping.end)]
 
 
+def segment_end(pid: int, mapping: MemoryMapping) -> int:
+    """The address behind what a file's segment has in a piece of memory; the end of that if it is not told.
+
+    Up to the end of the last page are bytes that belong to no segment there, and nobody uses.
+    """
+    content = file_content(pid, mapping.path) if mapping.path else None
+    if content is None or content[:6] != b"\x7fELF\x02\x01":
+        return mapping.end
+    ends = [end for begin, end, _ in _shifts(content) if begin == mapping.offset]
+    return mapping.start + ends[0] - mapping.offset if ends else mapping.end
+
+
 def file_content(pid: int, path: str) -> mmap.mmap | None:
     """A file as a process sees it, or as we do; None if it is gone, or empty."""
     for candidate in (Path(f"/proc/{pid}/root{path}"), Path(path)):

@@ -39,6 +39,7 @@ _EVENTS |= {6: "exits", 7: "filtered"}
 _STOPPED_AT_CALL = signal.SIGTRAP | 0x80
 _CALL_INFO = struct.Struct("=B3xIQQ7Q")  # which end, architecture, where it is, stack; number, arguments
 _ENTERED = 1
+_32_BIT = 0x40000003  # AUDIT_ARCH_I386
 _SIGINFO_SIZE = 128
 _QUEUE = 64  # real-time signals aside, a signal is queued at most once
 _STOP_SIGNALS = frozenset({signal.SIGSTOP, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU})
@@ -121,10 +122,14 @@ _INTERRUPTED = StopReport("interrupted", signal.SIGTRAP)
 
 
 class SystemCall(NamedTuple):
-    """A call of the kernel that a tracee is about to make."""
+    """A call of the kernel that a tracee is about to make.
+
+    ``native``: by the 64-bit table of numbers, not by that of 32-bit programs, which ``int 0x80`` uses.
+    """
 
     number: int
     arguments: tuple[int, ...]
+    native: bool
 
 
 def _call(request: int, tid: int, address: int = 0, data: int = 0) -> int:
@@ -178,8 +183,10 @@ def system_call(tid: int) -> SystemCall | None:
     """The call that a tracee stands before; None if it stands after one."""
     told = ctypes.create_string_buffer(_CALL_INFO.size)
     _call(_GET_SYSCALL_INFO, tid, _CALL_INFO.size, ctypes.addressof(told))
-    end, _, _, _, number, *arguments = _CALL_INFO.unpack(told.raw)
-    return SystemCall(number, tuple(arguments)) if end == _ENTERED else None
+    end, architecture, _, _, number, *arguments = _CALL_INFO.unpack(told.raw)
+    if end != _ENTERED:
+        return None
+    return SystemCall(number, tuple(arguments), native=architecture != _32_BIT)
 
 
 def interrupt(tid: int) -> None:

@@ -202,11 +202,7 @@ def test_instructions_are_drawn_as_often_as_they_are_executed(long_calls: Path) 
         ("plain", "writes", "it asks the kernel for what others may notice: write"),
         ("plain", "waits", "it asks the kernel for what others may notice: clock_nanosleep"),
         ("plain", "shares", "it writes memory that it shares with others, or uses some that no copy has"),
-        (
-            "seccomp",
-            "lengthy",
-            "the program's calls of the kernel are filtered (seccomp)",
-        ),
+        ("seccomp", "lengthy", "the program's calls of the kernel are filtered (seccomp)"),
     ],
 )
 def test_a_call_that_no_copy_can_run_is_struck_at_a_drawn_moment(
@@ -260,7 +256,7 @@ def lives_on_after_kills(program: Path, parts: int) -> None:
 
 
 def test_nothing_is_left_of_a_copy_when_the_injector_is_killed(long_calls: Path) -> None:
-    lives_on_after_kills(long_calls, 4)
+    lives_on_after_kills(long_calls, 2)
 
 
 @pytest.mark.soak
