@@ -28,7 +28,11 @@ MUTANTS: list[Mutant] = [
             '_BURY = b"\\x89\\xc7"',
             '_BURY = b"\\x31\\xff"',
         ),
-        ("process copy: a filter's program is copied", '.split(maxsplit=1)[0] != "0"', '.split(maxsplit=1)[0] == "3"'),
+        (
+            "process copy: a filter's program is copied",
+            '.split(maxsplit=1)[0] != "0"',
+            '.split(maxsplit=1)[0] == "3"',
+        ),
         (
             "process copy: it writes what others share",
             "            for shared in process.maps().shared():\n",

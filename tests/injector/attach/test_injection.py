@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from injector.attach import approach, injection
+from injector.attach import injection
 from injector.attach.approach import AttachTarget
 from injector.attach.function_calls import CalledFunction
 from injector.attach.injection import ProcessInjection, inject_into
@@ -121,7 +121,7 @@ def test_a_dry_run_does_all_but_the_flip(mapper: Path) -> None:
         assert lives_untraced(process)
 
 
-def test_a_long_call_is_struck_by_its_thread_time_and_in_it(mapper: Path) -> None:
+def test_a_long_call_is_struck_where_it_was_asked_for(mapper: Path) -> None:
     for seed in range(3):
         with running_program(mapper) as process:  # another each time: what is struck may end
             done = inject(
@@ -135,7 +135,9 @@ def test_a_long_call_is_struck_by_its_thread_time_and_in_it(mapper: Path) -> Non
             assert 1_000_000 <= done.cpu_ns <= 2_000_000
     with running_program(mapper) as process:
         done = inject(process.pid, {"symbol": LENGTHY}, dry_run=True)
-        assert (done.injection.precision, done.rehearsals, done.instructions) == ("cpu_time", 1, None)
+        assert (done.injection.precision, done.rehearsals) == ("exact", 1), done.uncounted
+        assert done.instructions is not None
+        assert done.instructions > 30_000_000  # passes of its loop
         assert lives_untraced(process)
 
 
@@ -282,15 +284,6 @@ def test_true_code_is_put_back_when_the_injector_is_killed_meanwhile(mapper: Pat
         with admit(process.pid) as held:
             while held.read_memory(entry, 8) != before:
                 assert time.monotonic() < deadline
-
-
-def test_a_thread_whose_call_is_too_long_to_step_through_is_struck_by_time(
-    mapper: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(approach, "MOST_STEPS", 50)
-    with running_program(mapper) as process:
-        done = inject(process.pid, {"symbol": INSERT}, dry_run=True)
-        assert (done.injection.precision, done.rehearsals) == ("cpu_time", 2)
 
 
 def test_threads_that_are_being_made_are_waited_for(mapper: Path, monkeypatch: pytest.MonkeyPatch) -> None:
