@@ -84,6 +84,14 @@ def test_the_record_is_one_object_and_the_same_seed_draws_the_same(mapper: Path)
             assert one["injection"][name] == other["injection"][name]
 
 
+def test_of_a_long_call_the_pass_is_told(mapper: Path) -> None:
+    with running_program(mapper) as process:
+        answer = inject("--pid", process.pid, "--symbol", "lengthy", "--seed", "3", "--dry-run")
+        found = re.search(r"exact, pass (\d+) through it, of (\d+) instructions", answer.stdout)
+        assert found is not None, answer.stdout + answer.stderr
+        assert 0 < int(found[1]) <= int(found[2])
+
+
 def test_a_stripped_library_is_struck_by_its_name_and_its_functions_are_not_found(
     mapper: Path, tmp_path: Path
 ) -> None:
