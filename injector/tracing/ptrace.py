@@ -50,12 +50,8 @@ NT_PRSTATUS, NT_X86_XSTATE = 1, 0x202
 _SENT = (0, -1, -6)  # SI_USER, SI_QUEUE, SI_TKILL
 _TRAP_BRKPT, _TRAP_TRACE, _TRAP_PERF = 1, 2, 6
 _TRAP_HANDLER = 5  # a tracee that was stepped into the handler of a signal
-_OUR_TRAPS: dict[int, Kind] = {
-    _TRAP_BRKPT: "step",
-    _TRAP_TRACE: "step",
-    _TRAP_HANDLER: "step",
-    _TRAP_PERF: "timer",
-}
+_OUR_TRAPS: dict[int, Kind] = dict.fromkeys((_TRAP_BRKPT, _TRAP_TRACE, _TRAP_HANDLER), "step")
+_OUR_TRAPS[_TRAP_PERF] = "timer"
 
 REMEDY = (
     "run the injector as the user of its targets, let them name it with PR_SET_PTRACER or set "
