@@ -21,6 +21,7 @@ ASLEEP_LOOKS = 20
 """Looks in a row at which nobody of the program runs."""
 
 _LOOK_S = 0.05
+"""Between two looks at whether a run hangs."""
 
 
 class RunWatch:
@@ -35,6 +36,7 @@ class RunWatch:
         self._limits_s = HANG_TIMES * cpu_s + HANG_MARGIN_S, HANG_TIMES * wall_s + HANG_MARGIN_S
         self._begun_s = 0.0, time.monotonic()
         self._limited, self._asleep = False, 0
+        self._look_at_s = time.monotonic() + _LOOK_S
         self.killed_by_another = False
 
     def begin(self) -> None:
@@ -46,13 +48,16 @@ class RunWatch:
     def next_report(self) -> tuple[Tracee, StopReport] | None:
         """What a thread reports next; None if the run hangs."""
         while True:
-            told = self._program.next_report(_LOOK_S)
+            told = self._program.next_report(max(self._look_at_s - time.monotonic(), 0.0))
             if told is not None:
                 self._asleep = 0
                 self._note(*told)
+            if time.monotonic() >= self._look_at_s:  # also of one that reports again and again
+                self._look_at_s = time.monotonic() + _LOOK_S
+                if self._hangs():
+                    return None
+            if told is not None:
                 return told
-            if self._hangs():
-                return None
 
     def _note(self, thread: Tracee, report: StopReport) -> None:
         if report.kind == "signal":

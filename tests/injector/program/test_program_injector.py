@@ -68,8 +68,22 @@ def test_no_fault_changes_nothing(tmp_path: Path) -> None:
         assert {run.result for _, run in injector.run(points, fault, 2)} == {"benign"}
 
 
-def test_an_endless_run_hangs(tmp_path: Path) -> None:
-    program = compiled(tmp_path, COUNTS, "counts")
+TICKS = """
+#include <signal.h>
+#include <sys/time.h>
+static void tick(int number) {}
+__attribute__((constructor)) static void begin(void) {
+    struct itimerval each = {{0, 5000}, {0, 5000}};
+    signal(SIGALRM, tick);
+    setitimer(ITIMER_REAL, &each, 0);
+}
+"""
+"""A signal every 5 ms, of which the tracer hears: Go's scheduler sends such ones."""
+
+
+@pytest.mark.parametrize("more", ["", TICKS])
+def test_an_endless_run_hangs(tmp_path: Path, more: str) -> None:
+    program = compiled(tmp_path, COUNTS + more, "counts")
     spec = spec_of([program, "1000"], module="counts", address=offset_of(program, "tight"))
     # The highest bit of what counts down.
     fault = FaultSpec(
