@@ -92,7 +92,16 @@ __attribute__((noinline)) void throws() { work(300); if (sum) throw 1; }
 __attribute__((noinline)) void at_times(long round) { work(300); if (round % 3) longjmp(out, 1); }
 __attribute__((noinline)) void deep(int n) { if (n) { deep(n - 1); work(1); } else work(100); }
 __attribute__((noinline)) void ends() { work(300); pthread_exit(nullptr); }
-void *thread(void *) { usleep(300000); ends(); return nullptr; }
+void await_tracer() {
+    for (int tracer = 0; !tracer; usleep(1000)) {
+        char line[256];
+        FILE *status = fopen("/proc/thread-self/status", "r");
+        while (fgets(line, sizeof line, status)) sscanf(line, "TracerPid: %d", &tracer);
+        fclose(status);
+    }
+    sleep(1);  // until it watches for calls
+}
+void *thread(void *) { await_tracer(); ends(); return nullptr; }
 int main(int, char **arguments) {
     prctl(PR_SET_PTRACER, -1L, 0, 0, 0);
     prctl(PR_SET_PDEATHSIG, 9);
@@ -100,7 +109,7 @@ int main(int, char **arguments) {
     if (!strcmp(arguments[1], "ends")) pthread_create(&other, nullptr, thread, nullptr);
     puts("ready"); fflush(stdout);
     if (!strcmp(arguments[1], "once")) {
-        usleep(300000);
+        await_tracer();
         if (!setjmp(out)) { jumps(); work(7); }
         for (;;) pause();
     }
