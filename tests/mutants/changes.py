@@ -1458,6 +1458,11 @@ MUTANTS: list[Mutant] = [
             "if sender is not None and self._program.is_outside(sender):",
             "if sender is not None and not self._program.is_outside(sender):",
         ),
+        (
+            "program: a run that reports again and again is never looked at",
+            "if time.monotonic() >= self._look_at_s:",
+            "if told is None:",
+        ),
     ),
     *_of(
         "injector/program/program_injector.py",
