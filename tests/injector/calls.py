@@ -108,7 +108,7 @@ class Caller:
 
     def result(self) -> int:
         """What the call returned; the program ends."""
-        output, _ = self.process.communicate(timeout=30)
+        output, _ = self.process.communicate(timeout=600)
         assert self.process.returncode == 0
         return int(output)
 

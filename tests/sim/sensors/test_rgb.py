@@ -30,7 +30,7 @@ def run(program: str, gl: str) -> str:
         capture_output=True,
         text=True,
         check=True,
-        timeout=60,
+        timeout=600,
     )
     return done.stdout
 

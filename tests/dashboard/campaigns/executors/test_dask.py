@@ -221,7 +221,7 @@ def test_a_cluster_without_slots_is_refused_with_nothing_stored(tmp_path: Path) 
         store = tmp_path / "store"
         at = made.scheduler_address.replace("tcp", "dask")
         with durability.zenfi(store, "run", durability.spec(tmp_path), "--executor", at) as command:
-            _, said = command.communicate(timeout=60)
+            _, said = command.communicate(timeout=600)
             assert command.returncode == 2
     lines = said.decode().splitlines()
     assert len(lines) == 1, lines

@@ -191,7 +191,7 @@ def test_where_there_is_no_slurm_nothing_is_stored(tmp_path: Path) -> None:
     for folder, complaint in ((shared, b"No such file"), (tmp_path, b"no srun here")):
         at = f"slurm:{folder}"
         with durability.zenfi(store, "run", durability.spec(tmp_path), "--executor", at) as command:
-            _, said = command.communicate(timeout=60)
+            _, said = command.communicate(timeout=600)
             assert command.returncode == 2
         assert complaint in said
         assert len(said.splitlines()) == 1

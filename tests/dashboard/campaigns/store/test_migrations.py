@@ -79,7 +79,7 @@ Store(Path(sys.argv[1]))
 )
 def test_killed_while_it_is_brought_up_to_date_a_store_is_as_it_was(at: str, tmp_path: Path) -> None:
     folder = written(WRITTEN[0], tmp_path / "store")
-    killed = subprocess.run([sys.executable, "-c", KILLED, folder, at], check=False, timeout=60)
+    killed = subprocess.run([sys.executable, "-c", KILLED, folder, at], check=False, timeout=600)
     assert killed.returncode == -signal.SIGKILL
     with closing(sqlite3.connect(folder / "zenfi.sqlite")) as connection:
         assert "\n".join(connection.iterdump()) + "\n" == WRITTEN[0].read_text()

@@ -143,7 +143,7 @@ def test_a_really_full_disk_is_told_as_such(tmp_path: Path) -> None:
     mounted = 'mount -t tmpfs -o size=2m none "$1" && exec "$2" "$3"'
     arguments = [str(tmp_path / "small"), sys.executable, str(tmp_path / "fill.py")]
     command = ["unshare", "--map-root-user", "--mount", "sh", "-c", mounted, "sh", *arguments]
-    answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
     if answer.stderr.startswith(("unshare", "mount")):
         pytest.skip(f"no private file systems here: {answer.stderr.strip()}")
     assert answer.stdout.splitlines()[0].endswith("database or disk is full"), answer.stderr
