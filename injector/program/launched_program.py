@@ -71,10 +71,14 @@ def padded(executable: str, arguments: Sequence[str], environment: Mapping[str, 
 class Launcher:
     """The process that launches programs, one at a time; it dies with us, and they with it."""
 
-    def __init__(self, processor: int) -> None:
-        """Start it; all that it launches has one ``processor``."""
+    def __init__(self, processor: int, writable: Path) -> None:
+        """Start it; all that it launches has one ``processor`` and can change files in one folder only.
+
+        ``protects`` says, once a program was launched, whether other files cannot be changed.
+        """
+        self.protects = False
         self._process = subprocess.Popen(  # noqa: S603 - ours
-            [sys.executable, "-P", "-m", "injector.program.launcher", str(processor)],
+            [sys.executable, "-P", "-m", "injector.program.launcher", str(processor), str(writable)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,
@@ -88,6 +92,7 @@ class Launcher:
         """
         self.say(json.dumps(asdict(order)).encode() + b"\n")
         told = self.hear()
+        self.protects = bool(told["protected"])
         return LaunchedProgram(self, int(told["pid"]), own_pids=bool(told["own_pids"]), exits=exits)
 
     def say(self, content: bytes) -> None:

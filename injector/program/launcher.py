@@ -3,7 +3,8 @@
 It reads orders from standard input and writes answers to standard output, in lines of JSON; after the answer
 with the program's pid it waits for one more byte before the program begins. A program finds the same memory
 in each run: address randomisation is off, its stack and pid are the same, and it has no signals blocked. All
-of its threads have the processor that is named to us, whatever they ask for.
+of its threads have the processor that is named to us, whatever they ask for. Where we may, we have all files
+read-only to it but those in the folder that is named to us: a fault could have it remove them.
 
 Of Python and ours it has no more than it needs, so that forking takes half a millisecond.
 """
@@ -23,6 +24,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from injector.reproducible import pid_namespace
+from injector.reproducible.read_only_files import make_all_read_only
 from services.system.libc import checked, libc, turn_address_randomisation_off
 from services.system.lifeline import die_with_parent
 from services.system.process_stat import listed_pid
@@ -47,12 +49,13 @@ def main() -> None:
     _have_default_signals()
     own_pids = pid_namespace.begin() != pid_namespace.NOWHERE and _next_pid_is_2()
     libc.prctl(_PR_SET_CHILD_SUBREAPER, 1)
+    protected = make_all_read_only([sys.argv[2]])
     os.sched_setaffinity(0, {int(sys.argv[1])})
     _filter_calls()
     gc.freeze()
     orders = sys.stdin.buffer
     while line := orders.readline():
-        _launch(json.loads(line), own_pids=own_pids)
+        _launch(json.loads(line), own_pids=own_pids, protected=protected)
     os._exit(os.EX_OK)
 
 
@@ -73,7 +76,7 @@ def _set_limit(which: int, wanted: int) -> None:
     resource.setrlimit(which, (wanted if most == resource.RLIM_INFINITY else min(wanted, most), most))
 
 
-def _launch(order: dict[str, Any], *, own_pids: bool) -> None:
+def _launch(order: dict[str, Any], *, own_pids: bool, protected: bool) -> None:
     """Fork the program, tell of it and of its end; all that it has started has ended then."""
     if own_pids:
         _next_pid_is_2()
@@ -86,7 +89,7 @@ def _launch(order: dict[str, Any], *, own_pids: bool) -> None:
         _become(order, reads, failure)
     os.close(failure)
     os.close(reads)
-    _tell({"pid": listed_pid(pid), "own_pids": own_pids})
+    _tell({"pid": listed_pid(pid), "own_pids": own_pids, "protected": protected})
     os.read(sys.stdin.fileno(), 1)
     os.write(writes, b"x")
     os.close(writes)
@@ -104,7 +107,10 @@ def _launch(order: dict[str, Any], *, own_pids: bool) -> None:
 
 
 def _tell(answer: dict[str, Any]) -> None:
-    os.write(sys.stdout.fileno(), json.dumps(answer).encode() + b"\n")
+    try:
+        os.write(sys.stdout.fileno(), json.dumps(answer).encode() + b"\n")
+    except BrokenPipeError:  # whoever ordered has closed, and wants no run any more
+        os._exit(os.EX_OK)
 
 
 def _become(order: dict[str, Any], go: int, failure: int) -> NoReturn:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -30,6 +31,7 @@ LARGEST_FILE = 64 << 20
 """Bytes that a run may write into a file, or twice what a golden one writes."""
 
 _WRITE = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+_UNPROTECTED = "no mount namespace can be made here: a fault may have it change any file that you can change"
 FILES = "files"
 """The folder in which a run with a folder of its own is run, beside its standard output and error."""
 
@@ -59,7 +61,7 @@ class ProgramRuns:
         self._folder = Path(tempfile.mkdtemp(dir=self._scratch))
         self._of_run, self._of_golden = self._folder / "run", self._folder / "golden"
         self._of_run.mkdir()
-        self._launcher = Launcher(self._processor)
+        self._launcher = Launcher(self._processor, self._folder)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -143,6 +145,8 @@ class ProgramRuns:
                 self._refuse(outputs[-1].differs_from(outputs[0]))
             cpu_s, wall_s = max(cpu_s, ending.cpu_s), max(wall_s, time.monotonic() - begin)
         self._check(outputs[0])
+        if not self._launcher.protects:
+            sys.stderr.write(f"zenfi: {name}: {_UNPROTECTED}\n")
         sizes = [self._file(one).stat().st_size for one in self.spec.compared if self._file(one).exists()]
         self._largest = max(LARGEST_FILE, 2 * max(sizes, default=0))
         return GoldenRun(outputs[0], cpu_s, wall_s)
@@ -150,6 +154,11 @@ class ProgramRuns:
     def _first_error(self) -> str:
         lines = self._file("stderr").read_text(errors="replace").splitlines()
         return f" ({lines[0][:200]})" if lines else ""
+
+    def _if_it_writes(self) -> str:
+        if self.spec.has_own_folder or not self._launcher.protects:
+            return ""
+        return "; if it has to write files: --input or --compare FILE gives it a folder in which it can"
 
     def _refuse(self, differs: str) -> NoReturn:
         message = (
@@ -166,7 +175,7 @@ class ProgramRuns:
         if golden.status != self.spec.status:
             message = (
                 f"{name}: it ends with exit status {golden.status} without a fault{self._first_error()}; "
-                f"if that is right: --status {golden.status}"
+                f"if that is right: --status {golden.status}{self._if_it_writes()}"
             )
             raise UnsuitableProgramError(message)
         if golden.status in self.spec.detected:

@@ -1441,6 +1441,15 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "injector/reproducible/read_only_files.py",
+        "tests/injector/program/test_launched_program.py",
+        (
+            "program: a fault may have it remove files of the user",
+            '_set_attributes(b"/", _AT_RECURSIVE, _ATTRIBUTES.pack(_READ_ONLY, 0, 0, 0))',
+            "pass",
+        ),
+    ),
+    *_of(
         "injector/program/launched_program.py",
         "tests/injector/program/test_launched_program.py",
         ("program: the stack lies by the environment", "-size % STACK_STRINGS", "-size % 1"),

@@ -1,8 +1,12 @@
 """Launched programs: the same memory, pid and random bytes in each run, and nothing is left of one."""
 
+import json
 import os
 import signal
+import subprocess
+import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -44,7 +48,7 @@ def told(launcher: Launcher, asked: Order) -> str:
 
 def test_a_program_finds_the_same_in_each_run_whatever_its_environment(tmp_path: Path) -> None:
     program = compiled(tmp_path, LOOK, "look")
-    with Launcher(PROCESSOR) as one, Launcher(PROCESSOR) as other:
+    with Launcher(PROCESSOR, tmp_path) as one, Launcher(PROCESSOR, tmp_path) as other:
         runs = {
             told(one, order(tmp_path, program, {"NAME": "short"})),
             told(one, order(tmp_path, program, {"NAME": "of another length" * 50})),
@@ -54,17 +58,46 @@ def test_a_program_finds_the_same_in_each_run_whatever_its_environment(tmp_path:
     assert len(set(runs.pop().split())) == 7
 
 
+def test_a_program_can_change_files_in_its_own_folder_only(tmp_path: Path) -> None:
+    own, kept = tmp_path / "own", tmp_path / "kept"
+    own.mkdir()
+    kept.write_text("of the user")
+    tries = f"rm -f {kept}; echo x >> {kept}; echo y > {tmp_path}/new; mv {kept} {own}; echo z > {own}/new"
+    devices = "echo on > /dev/null; echo on > /dev/shm/$$; rm /dev/shm/$$"
+    asked = order(own, "/bin/sh", {}, "-c", f"{tries}; {devices}")
+    with Launcher(PROCESSOR, own) as launcher:
+        told(launcher, asked)
+        assert launcher.protects
+    assert kept.read_text() == "of the user"
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["kept", "own"]
+    assert (own / "new").read_text() == "z\n"
+    assert (own / "err").read_text().count("Read-only file system") == 4
+
+
+def test_a_launcher_that_nobody_listens_to_ends_in_silence(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    command = [sys.executable, "-P", "-m", "injector.program.launcher", str(PROCESSOR), str(tmp_path)]
+    reads, writes = os.pipe()
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=writes) as process:
+        os.close(writes)
+        os.close(reads)
+        process.communicate(json.dumps(asdict(order(tmp_path, "/bin/true", {}))).encode() + b"\n")
+    assert process.returncode == 0
+    assert capfd.readouterr() == ("", "")
+
+
 def test_what_cannot_be_executed_is_said(tmp_path: Path) -> None:
     text = tmp_path / "text"
     text.write_text("no program")
     text.chmod(0o755)
     with (
-        Launcher(PROCESSOR) as launcher,
+        Launcher(PROCESSOR, tmp_path) as launcher,
         pytest.raises(LaunchError, match="Exec format error"),
         launcher.launch(order(tmp_path, text, {})),
     ):
         pass
-    with Launcher(PROCESSOR) as launcher:
+    with Launcher(PROCESSOR, tmp_path) as launcher:
         assert told(launcher, order(tmp_path, "/bin/echo", {}, "hello")) == "hello\n"
 
 
@@ -72,7 +105,7 @@ def test_nothing_of_a_run_is_left(tmp_path: Path) -> None:
     asked = order(
         tmp_path, "/bin/sh", {"PATH": "/usr/bin:/bin"}, "-c", "sleep 1000 & setsid sleep 1000 & wait"
     )
-    with Launcher(PROCESSOR) as launcher:
+    with Launcher(PROCESSOR, tmp_path) as launcher:
         with launcher.launch(asked) as program:
             assert not program.run_to_end(0.5)
             started = {thread.pid for thread in program.threads.values()}
@@ -86,7 +119,7 @@ def test_all_die_with_who_traces_them(tmp_path: Path) -> None:
     pid = os.fork()
     if not pid:
         try:
-            with Launcher(PROCESSOR) as launcher, launcher.launch(asked) as program:
+            with Launcher(PROCESSOR, tmp_path) as launcher, launcher.launch(asked) as program:
                 program.run_to_end(LIMIT_S)
         finally:
             os._exit(1)

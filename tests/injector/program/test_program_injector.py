@@ -138,6 +138,7 @@ def test_only_the_code_that_is_asked_for_is_struck(tmp_path: Path) -> None:
             {},
             r"exit status 3 without a fault .why.; if that is right: --status 3",
         ),
+        (["sh", "-c", "echo x > /new"], {}, "--input or --compare FILE gives it a folder in which it can"),
         (["true"], {"compare": ("result",)}, "writes no such file"),
         (["sleep", "1000"], {}, "did not end within"),
     ],
