@@ -71,6 +71,7 @@ def train() -> None:
 )
 @click.option("--fault", metavar=FAULT_FORM, help="As in `zenfi fly`; the fault's seed is the flight's.")
 @click.option("--planner", default="rrt_star", show_default=True)
+@click.option("--pilot", default="guarded", show_default=True)
 @click.option("--platform", default="i9-9940x", show_default=True, metavar="NAME|FILE.toml")
 def record(output: Path, worlds: tuple[str, ...], seeds: int, fault: str | None, **fields: Any) -> None:
     """Fly and keep what detectors see; flights that DIR has already are not flown again."""
@@ -94,7 +95,8 @@ def record(output: Path, worlds: tuple[str, ...], seeds: int, fault: str | None,
 
 def _record(folder: Path, spec: MissionSpec, server: ForkServer) -> None:
     fault = f"-{spec.fault.level}-{spec.fault.target}" if spec.fault is not None else ""
-    path = folder / f"{spec.world_name}-{spec.seed:04d}{fault}.npz"
+    pilot = f"-{spec.pilot}" if spec.pilot != MissionSpec().pilot else ""
+    path = folder / f"{spec.world_name}-{spec.seed:04d}{pilot}{fault}.npz"
     if not path.exists():
         fly_and_watch(spec, server).save(path)
     elif load_series(path).spec != spec:

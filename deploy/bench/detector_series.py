@@ -96,7 +96,7 @@ def _control(spec: MissionSpec, messages: Mapping[str, Sequence[Stamped]]) -> Ch
             made = next(plans, None)
         here = state(_read("odometry", odometry[tick]), sound)
         follower.curve(tick / 1e9, here.position, here.velocity, here.yaw)
-        rows.append(shown_command(command, follower.curves, follower.tracked(tick / 1e9)))
+        rows.append(shown_command(command, follower.curves, follower.tracked(tick / 1e9), here))
         times.append(tick / 1e9)
     return Checks(_joined("control", rows), 2 * np.arange(len(rows)), np.array(times))
 

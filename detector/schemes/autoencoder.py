@@ -4,13 +4,12 @@ It sits at control, as in the paper: it sees the waypoint that is tracked and th
 change of each state is divided by the largest of the training flights and cubed: what was seen stays within
 +-1, and one change beyond it outweighs several ordinary ones that meet by chance. The hidden layers bend
 (softsign, x / (1 + |x|)) and are bounded, so a change far beyond what was learned cannot be reproduced; the
-output is linear. Inference is compiled and needs no torch: :mod:`detector.schemes.autoencoder_training` does.
+output is linear. Inference is compiled and needs no torch: :mod:`detector.schemes.network_training` does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -18,6 +17,7 @@ from numba import njit
 from pydantic import Field
 
 from detector.schemes.base import LIMIT, Alarm, Floats, Lesson, Scheme
+from detector.schemes.layers import Layer, dense, packed
 from detector.series.changes import changes
 from detector.series.monitored_states import CURVE, DURATION, WATCHED
 from detector.series.preprocessing import FLOORS, level
@@ -45,13 +45,6 @@ _CURVE_COLUMN = WATCHED[STAGE].index(CURVE)
 _Inputs = Annotated[list[float], Field(min_length=SIZES[0], max_length=SIZES[0])]
 
 
-class Layer(Strict):
-    """``weight`` (outputs, inputs) and ``bias`` (outputs,)."""
-
-    weight: list[list[float]]
-    bias: list[float]
-
-
 class AutoencoderParameters(Strict):
     """The largest change of each input, three layers, and the largest mean squared error that is no alarm."""
 
@@ -64,14 +57,7 @@ class AutoencoderParameters(Strict):
 
         :raises ValueError: if a layer is of another shape.
         """
-        parts = [np.array([self.threshold]), np.array(self.scale)]
-        for layer, (inputs, outputs) in zip(self.layers, pairwise(SIZES), strict=True):
-            shapes = [len(layer.weight), *sorted({len(row) for row in layer.weight}), len(layer.bias)]
-            if shapes != [outputs, inputs, outputs]:
-                message = f"a layer is not {inputs} to {outputs}: the network is 13-6-3-13"
-                raise ValueError(message)
-            parts += [np.array(layer.weight).ravel(), np.array(layer.bias)]
-        return np.concatenate(parts)
+        return np.concatenate(((self.threshold,), self.scale, packed(self.layers, SIZES)))
 
 
 class Autoencoder(Scheme):
@@ -114,11 +100,12 @@ class Autoencoder(Scheme):
     @classmethod
     def train(cls, lessons: Sequence[Lesson], seed: int) -> dict[str, Any]:
         """Train with torch; the threshold is the compiled network's own largest error."""
-        from detector.schemes.autoencoder_training import fit  # noqa: PLC0415 - torch is needed here only
+        from detector.schemes.network_training import fit  # noqa: PLC0415 - torch is needed here only
 
         rows = np.unique(np.concatenate([lesson["changes"] for lesson in lessons]), axis=0).astype(np.float64)
         scale = np.maximum(np.abs(rows).max(axis=0), 1.0)
-        layers = [Layer(weight=weight, bias=bias) for weight, bias in fit((rows / scale) ** 3, SIZES, seed)]
+        seen = (rows / scale) ** 3
+        layers = [Layer(weight=weight, bias=bias) for weight, bias in fit(seen, seen, SIZES, seed)]
         untried = AutoencoderParameters(scale=scale.tolist(), layers=layers, threshold=1.0)
         worst = largest_error(untried.packed(), rows)
         return untried.model_copy(update={"threshold": MARGIN * worst}).model_dump(mode="json")
@@ -132,12 +119,7 @@ class Autoencoder(Scheme):
 _KNOWN, _CURVE, _SCORE, _WORST = range(4)
 _IN, _HIDDEN, _CODE, _ = SIZES
 _SCALE = 1
-_W1 = _SCALE + _IN
-_B1 = _W1 + _IN * _HIDDEN
-_W2 = _B1 + _HIDDEN
-_B2 = _W2 + _HIDDEN * _CODE
-_W3 = _B2 + _CODE
-_B3 = _W3 + _CODE * _IN
+_LAYERS = _SCALE + _IN
 
 
 @njit(cache=True)
@@ -168,25 +150,15 @@ def inspect(memory: Floats, network: Floats, values: Floats, accept: bool) -> in
 @njit(cache=True)
 def _error(memory: Floats, network: Floats, change: Floats) -> float:
     """Mean squared error of one row of changes; the worst input is left in ``memory``."""
-    seen, hidden, code = np.empty(_IN), np.empty(_HIDDEN), np.empty(_CODE)
+    seen = np.empty(_IN)
     for index in range(_IN):
         seen[index] = (change[index] / network[_SCALE + index]) ** 3
-    for unit in range(_HIDDEN):
-        total = network[_B1 + unit]
-        for index in range(_IN):
-            total += network[_W1 + unit * _IN + index] * seen[index]
-        hidden[unit] = total / (1.0 + abs(total))
-    for unit in range(_CODE):
-        total = network[_B2 + unit]
-        for index in range(_HIDDEN):
-            total += network[_W2 + unit * _HIDDEN + index] * hidden[index]
-        code[unit] = total / (1.0 + abs(total))
+    hidden, at = dense(network, _LAYERS, seen, _HIDDEN, True)
+    code, at = dense(network, at, hidden, _CODE, True)
+    made, _ = dense(network, at, code, _IN, False)
     squares, worst = 0.0, -1.0
     for index in range(_IN):
-        total = network[_B3 + index]
-        for unit in range(_CODE):
-            total += network[_W3 + index * _CODE + unit] * code[unit]
-        off = (total - seen[index]) ** 2
+        off = (made[index] - seen[index]) ** 2
         squares += off
         if off > worst:
             worst = off

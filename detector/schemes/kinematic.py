@@ -76,7 +76,8 @@ RELATIONS = (
 
 _EXACT = (_ANSWERED, _COLLISIONS)  # counted one by one: no margin
 _KINDS = {"perception": 0, "planning": 1, "control": 2}
-_WIDEST = max(len(columns) for columns in WATCHED.values())
+_WIDEST = 15
+"""Columns of a check that the relations are between, the first ones."""
 
 # How many checks before are remembered (two at most), and the last row of each.
 _KNOWN, _LAST, _BEFORE = 0, 1, 1 + _WIDEST
@@ -170,7 +171,8 @@ def remember(memory: Floats, values: Floats) -> None:
     if len(values) == 0:
         return
     memory[_BEFORE:] = memory[_LAST:_BEFORE]
-    memory[_LAST : _LAST + values.shape[1]] = values[-1]
+    row = values[-1, :_WIDEST]
+    memory[_LAST : _LAST + len(row)] = row
     memory[_KNOWN] = min(memory[_KNOWN] + 1.0, 2.0)
 
 

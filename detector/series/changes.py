@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detector.series.monitored_states import CURVE, WATCHED
-from detector.series.preprocessing import levels
+from detector.series.preprocessing import FLOORS, levels
 from detector.series.series import Checks
 
 CARRIED = frozenset({"trajectory.trajectory_seq", "trajectory.future_collision_seq"})
@@ -26,7 +26,7 @@ def changes(stage: str, checks: Checks, form: str = "folded") -> dict[str, NDArr
     made = {}
     for column, name in enumerate(WATCHED[stage]):
         values = checks.values[:, column]
-        if name == CURVE:
+        if name not in FLOORS:  # no state that a fault strikes there
             continue
         if stage == "control":
             seen = levels(name, values, form).reshape(-1, 2)

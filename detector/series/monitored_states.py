@@ -2,7 +2,8 @@
 
 A check of perception is one row, one of planning a row for each point of the new trajectory, its sequence
 numbers the same in every row. One of control is two rows: the row of the curve behind the tracked waypoint,
-then the waypoint; both have the command that was made for it. All values are float64, SI units, world frame.
+then the waypoint; both have the command that was made for it, and the odometry that this was made from. All
+values are float64, SI units, world frame.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MOTION = tuple(f"trajectory.{name}" for name in ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az"))
+_MEASURED = tuple(f"odometry.{name}" for name in ("x", "y", "z", "vx", "vy", "vz"))
 _COMMAND = ("command.vx", "command.vy", "command.vz", "command.yaw_rate")
 
 CURVE = "curve"
@@ -33,7 +35,7 @@ WATCHED: Mapping[str, tuple[str, ...]] = MappingProxyType(
             "trajectory.trajectory_seq",
             "trajectory.future_collision_seq",
         ),
-        "control": (CURVE, DURATION, *_MOTION, *_COMMAND),
+        "control": (CURVE, DURATION, *_MOTION, *_COMMAND, *_MEASURED),
     }
 )
 """Columns of a check by stage; a state of ``services/models/inter_kernel_states.py`` has its name there."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from services.bus.arrays import POINT_FIELDS, Floats
+from services.bus.arrays import POINT_FIELDS, Floats, VehicleState
 from services.bus.messages import TwistStamped
 
 _HEAD = struct.Struct("<q")
@@ -73,8 +73,10 @@ def shown_trajectory(message: Any) -> Floats:
     return np.hstack((points, np.tile(counts, (len(points), 1))))
 
 
-def shown_command(message: TwistStamped, curves: int, waypoints: Floats) -> Floats:
-    """(2, 15): the count of curves, ``waypoints`` (the row behind and the tracked one), the command twice."""
+def shown_command(message: TwistStamped, curves: int, waypoints: Floats, measured: VehicleState) -> Floats:
+    """(2, 21): the count of curves, ``waypoints`` (the row behind and the tracked one); twice the command and
+    the position and velocity that were ``measured`` before it.
+    """
     linear, turn = message.twist.linear, message.twist.angular.z
-    flown = np.tile((linear.x, linear.y, linear.z, turn), (2, 1))
+    flown = np.tile((linear.x, linear.y, linear.z, turn, *measured.position, *measured.velocity), (2, 1))
     return np.hstack((np.full((2, 1), float(curves)), waypoints, flown))

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from services.bus import frames
-from services.bus.arrays import POINT_FIELDS, Floats, plan, state, vector, verdict
+from services.bus.arrays import POINT_FIELDS, Floats, VehicleState, plan, state, vector, verdict
 from services.bus.detector_protocol import shown_command
 from services.bus.messages import Twist, TwistStamped, header
 from services.bus.proxy_link import NodeLink
@@ -55,27 +55,27 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
             here = odometry.read(measured)
             if here is None:
                 continue
-            now_s, (position, velocity, _, yaw) = node.now_ns / 1e9, here
+            now_s = node.now_ns / 1e9
             _, command = node.recovery.sound(
                 "command",
-                partial(make, node, flown, now_s, position, velocity, yaw),
+                partial(make, node, flown, now_s, here),
                 partial(command_message, node),
-                partial(shown, flown, now_s),
+                partial(shown, flown, now_s, here),
                 partial(flown.skip_waypoint, now_s),
             )
             node.put("command", command)
             node.guards.take(flown.acted)
 
 
-def make(node: Node, flown: Follower, now_s: float, position: Floats, velocity: Floats, yaw: float) -> Floats:
+def make(node: Node, flown: Follower, now_s: float, here: VehicleState) -> Floats:
     """The command for the present state."""
     with node.kernel("pid"):
-        return flown.command(now_s, position, velocity, yaw, TICK_S)
+        return flown.command(now_s, here.position, here.velocity, here.yaw, TICK_S)
 
 
-def shown(flown: Follower, now_s: float, command: TwistStamped) -> Floats:
-    """What a detector sees of a command: with it the waypoint that it flies to."""
-    return shown_command(command, flown.curves, flown.tracked(now_s))
+def shown(flown: Follower, now_s: float, here: VehicleState, command: TwistStamped) -> Floats:
+    """What a detector sees of a command: with it the waypoint that it flies to, and from where."""
+    return shown_command(command, flown.curves, flown.tracked(now_s), here)
 
 
 def command_message(node: Node, command: Floats) -> TwistStamped:

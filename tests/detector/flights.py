@@ -34,8 +34,10 @@ def tracked(points: Floats, curve: float = 1.0) -> list[Floats]:
     checks = []
     for now in np.arange(points[0, 0], points[-1, 0], TICK_S):
         ahead = min(int(np.searchsorted(points[:, 0], now, side="right")), len(points) - 1)
-        command = [*motion(np.array([now]))[0, 3:6], 0.1]
-        checks.append(np.array([[curve, STEP_S, *points[row, 1:10], *command] for row in (ahead - 1, ahead)]))
+        here = motion(np.array([now]))[0, :6]
+        command = [*here[3:6], 0.1]
+        rows = [[curve, STEP_S, *points[row, 1:10], *command, *here] for row in (ahead - 1, ahead)]
+        checks.append(np.array(rows))
     return checks
 
 

@@ -10,7 +10,7 @@ from detector.node import judge
 from detector.schemes.base import Scheme
 from detector.schemes.registry import in_flight, rehearse, with_models
 from detector.series.monitored_states import WATCHED
-from services.bus.arrays import Floats, vector
+from services.bus.arrays import Floats, VehicleState, vector
 from services.bus.detector_protocol import (
     DetectorReply,
     answer,
@@ -104,7 +104,9 @@ def test_what_is_shown_stands_in_the_watched_columns() -> None:
     shown: dict[str, Callable[[Any], Floats]] = {
         "perception": shown_verdict,
         "planning": shown_trajectory,
-        "control": lambda message: shown_command(message, 0, np.zeros((2, 10))),
+        "control": lambda message: shown_command(
+            message, 0, np.zeros((2, 10)), VehicleState(np.zeros(3), np.zeros(3), np.zeros(4), 0.0)
+        ),
     }
     for stage, show in shown.items():
         for column, name in enumerate(WATCHED[stage]):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from detector.schemes.autoencoder import INPUTS, SIZES, Autoencoder, AutoencoderParameters, inspect
-from detector.schemes.autoencoder_training import fit
+from detector.schemes.network_training import fit
 from tests.detector.flights import COLUMNS, flight, planned, tracked
 
 LESSONS = [Autoencoder.lesson(flight(phase)) for phase in np.linspace(0.0, 6.0, 20)]
@@ -65,7 +65,7 @@ def test_the_compiled_network_is_the_one_that_was_trained() -> None:
 
 def test_training_repeats() -> None:
     rows = np.unique(np.concatenate([lesson["changes"] for lesson in LESSONS]), axis=0).astype(np.float64)
-    once, again, other = fit(rows, SIZES, 3), fit(rows, SIZES, 3), fit(rows, SIZES, 4)
+    once, again, other = fit(rows, rows, SIZES, 3), fit(rows, rows, SIZES, 3), fit(rows, rows, SIZES, 4)
     assert once == again
     assert once != other
 
