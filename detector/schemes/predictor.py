@@ -76,7 +76,7 @@ class Predictor(Scheme):
         return float(self._memory[_SCORE])
 
     def reset(self, stage: str) -> None:
-        """Forget the tick before."""
+        """Forget the tick before: the next one has no predecessor."""
         if stage == STAGE:
             self._memory[_KNOWN] = 0.0
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from services.bus.horizon import Stamped
 
@@ -29,6 +29,18 @@ ANSWER = struct.Struct("<IIq")
 """Before the body of an answer: the length of the body, and the two numbers of :class:`ProxyAnswer`."""
 
 _MESSAGE = struct.Struct("<BxxxIqq")
+
+
+class Digest(Protocol):
+    """The digest of what is added to it, as hashlib makes them."""
+
+    def update(self, more: bytes, /) -> None:
+        """Add to it."""
+        ...
+
+    def digest(self) -> bytes:
+        """What it is by now."""
+        ...
 
 
 class LinkError(Exception):
@@ -99,6 +111,35 @@ class NodeLink:
         """Send what is queued and close the socket."""
         self.send()
         self._socket.close()
+
+
+class OverheardLink(NodeLink):
+    """A node's end of the socket; what is told is added to a digest, too."""
+
+    def __init__(self, link: NodeLink, digest: Digest) -> None:
+        self._link, self._digest = link, digest
+
+    def tell(self, kind: int, place: int = 0, first: int = 0, second: int = 0, payload: bytes = b"") -> None:
+        """Add a frame to the digest and queue it."""
+        self._digest.update(_FRAME.pack(kind, place, len(payload), first, second))
+        self._digest.update(payload)
+        self._link.tell(kind, place, first, second, payload)
+
+    def send(self) -> None:
+        """Send all frames that are queued."""
+        self._link.send()
+
+
+class SilentLink(NodeLink):
+    """The end of no socket: what is told is heard by nobody. Nothing may be asked."""
+
+    def __init__(self) -> None: ...
+
+    def tell(self, kind: int, place: int = 0, first: int = 0, second: int = 0, payload: bytes = b"") -> None:
+        """Forget the frame."""
+
+    def send(self) -> None:
+        """Send nothing."""
 
 
 class ProxyLink:

@@ -33,7 +33,7 @@ class CurveFollower(Follower):
         row behind is wrong, and to drop one waypoint after the other would end in a stop. The last command's
         part in the controller's state is taken back: it is as if never made.
         """
-        self.state[:] = self._before
+        self.take_back()
         points = self._followed
         if points is None:
             return False

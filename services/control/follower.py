@@ -78,6 +78,10 @@ class Follower(ABC):
                 self.acted[guard] += int(times)
         return command
 
+    def take_back(self) -> None:
+        """Take the last command's part in the controller's state back: it is as if never made."""
+        self.state[:] = self._before
+
     @abstractmethod
     def curve(
         self, now_s: float, position: NDArray[np.float64], velocity: NDArray[np.float64], yaw: float

@@ -61,7 +61,7 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
                 partial(make, node, flown, now_s, here),
                 partial(command_message, node),
                 partial(shown, flown, now_s, here),
-                partial(flown.skip_waypoint, now_s),
+                flown.take_back if node.recovery.reexecutes else partial(flown.skip_waypoint, now_s),
             )
             node.put("command", command)
             node.guards.take(flown.acted)

@@ -53,7 +53,7 @@ class WaypointFollower(Follower):
 
     def skip_waypoint(self, now_s: float) -> bool:
         """Drop the row that is held and hold the next; False, and a hover, after the last."""
-        self.state[:] = self._before
+        self.take_back()
         if self._rows is None:
             return False
         if self._index + 1 == len(self._rows):

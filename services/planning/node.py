@@ -67,7 +67,7 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
                 if opening is not None:
                     # No kernel runs, but nobody may see a trajectory sooner than one could.
                     made_after = node.spec.kernels_before(TOPICS["trajectory"])
-                    node.now_ns += sum(node.latency(name).least_ns for name in made_after)
+                    node.now_ns += sum(node.timer.latency(name).least_ns for name in made_after)
                     node.put("trajectory", plan_message(header(node.now_ns, frames.MAP), opening))
                     continue
                 request = navigator.consider(node.now_ns / 1e9, now.position, now.velocity, now.yaw, found)
@@ -101,7 +101,7 @@ def guided(
     if goal is None:
         return None
     if navigator is None:
-        latency_s = sum(node.latency(name).slow_ns for name in (node.spec.planner, "trajectory")) / 1e9
+        latency_s = sum(node.timer.latency(name).slow_ns for name in (node.spec.planner, "trajectory")) / 1e9
         return Navigator(goal, latency_s, tactics(node.spec))
     navigator.head_for(goal)
     return navigator

@@ -94,6 +94,12 @@ class KernelTimer:
             self._gate("leave", kernel, invocation, node.now_ns)
         node.now_ns = end_ns
 
+    def become_copy(self, proxy: NodeLink, page: np.void) -> None:
+        """Count on another page from now on, and stand at no gate: this is a fork of the node."""
+        self._proxy, self._page = proxy, page
+        self._cpu = KernelStopwatch(page, time.CLOCK_THREAD_CPUTIME_ID)
+        self._fault = self._marked = None
+
     def end_ns(self, now_ns: int, kernel: str, invocation: int) -> int:
         """The time at which a call that began at ``now_ns`` ends on the mission's platform."""
         return now_ns + self._latencies[kernel].of(invocation)

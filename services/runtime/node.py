@@ -20,15 +20,15 @@ from services.bus import proxy_link, session
 from services.bus.horizon import NEVER_NS, Stamped
 from services.bus.messages import Injection, encode
 from services.bus.ports import Input, Parse, as_it_is
-from services.bus.proxy_link import NodeLink, ProxyAnswer
+from services.bus.proxy_link import Digest, NodeLink, OverheardLink, ProxyAnswer, SilentLink
 from services.bus.topics import STAGES, TOPICS, published_by
 from services.models.detection import DETECTOR, AlarmRecord
 from services.models.outcome import InjectionRecord
 from services.models.pilots import added_guards
+from services.recovery.recovery import Recovery
 from services.runtime.guard_counts import GuardCounts
 from services.runtime.kernel_timer import KernelTimer
-from services.runtime.latency import Latency, VirtualLink
-from services.runtime.recovery import Recovery
+from services.runtime.latency import VirtualLink
 from services.runtime.setup import NodeSetup
 from services.runtime.source_fault import SourceFault
 from services.system.shared_stats import COMPUTING, MESSAGING, WAITING, SharedStats
@@ -57,7 +57,7 @@ class Node:
         self._link = VirtualLink(setup.spec.link, setup.spec.seed)
         self.guards = GuardCounts(stats.page, setup.spec.active_guards)
         self._wall = ActivityStopwatch(stats.page)
-        self._timer = timer if timer is not None else KernelTimer(setup, proxy, stats.page)
+        self.timer = timer if timer is not None else KernelTimer(setup, proxy, stats.page)
         fault = setup.spec.fault
         self._source_fault = (
             SourceFault(fault, setup.spec.seed, setup.start_ns)
@@ -165,15 +165,11 @@ class Node:
 
     def kernel(self, name: str) -> AbstractContextManager[None]:
         """Run a kernel in a ``with`` statement: counted, timed, stopped at the injector's gate if armed."""
-        return self._timer.call(name, self)
+        return self.timer.call(name, self)
 
     def elapse_check(self, number: int) -> None:
         """Advance the virtual time by the latency of this node's ``number``-th check by the detector."""
-        self.now_ns = self._timer.end_ns(self.now_ns, DETECTOR, number)
-
-    def latency(self, kernel: str) -> Latency:
-        """The latency of a kernel on the mission's platform."""
-        return self._timer.latency(kernel)
+        self.now_ns = self.timer.end_ns(self.now_ns, DETECTOR, number)
 
     def verdict(self, payload: bytes) -> bytes | None:
         """The detector's answer to a question; None if it is dead."""
@@ -181,6 +177,27 @@ class Node:
         answer = self.ask(session.verdict_key(self.name), payload, VERDICT_TIMEOUT_S)
         self._page["asking"] = 0
         return answer
+
+    @contextmanager
+    def overheard(self, digest: Digest, *, in_a_copy: bool) -> Iterator[None]:
+        """Add all that is published in the body of a ``with`` statement to a digest, too.
+
+        In a copy of the node, a fork that ends with the body, nothing else is done with it; nothing is counted
+        or asked for, and no fault strikes.
+        """
+        proxy = self._proxy
+        if in_a_copy:
+            proxy = SilentLink()
+            self._page = self._page.copy()
+            self._wall = ActivityStopwatch(self._page)
+            self.timer.become_copy(proxy, self._page)
+            self.guards = GuardCounts(self._page, self.spec.active_guards)
+            self._source_fault = None
+        self._proxy = OverheardLink(proxy, digest)
+        try:
+            yield
+        finally:
+            self._proxy = proxy
 
     def count(self, what: Literal["malformed", "outdated", "alarms", "recomputed", "ungated"]) -> None:
         """Count a message that was refused, or an output that was alarmed, made again or not judged."""

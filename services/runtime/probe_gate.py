@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import errno
 import os
-import signal
 import socket
 
 import numpy as np
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from services.bus.proxy_link import ANSWER, LinkError, NodeLink
 from services.system import c_library
-from services.system.lifeline import PR_SET_PDEATHSIG
+from services.system.process_copies import fork_and_wait
 
 PROBE = b"probe"
 """The injector's answer at the gate that asks for a probe, after which the node asks again."""
@@ -29,7 +28,7 @@ _UNANSWERED, _GONE = -1000, -1001
 _LONGEST = 256
 """Bytes of an answer at the gate."""
 
-_SIGCHLD, _SIGKILL, _EINTR = int(signal.SIGCHLD), int(signal.SIGKILL), errno.EINTR
+_EINTR = errno.EINTR
 _MSG_NOSIGNAL, _MSG_WAITALL = int(socket.MSG_NOSIGNAL), int(socket.MSG_WAITALL)
 
 
@@ -78,7 +77,7 @@ def _stand_at_gate(
         if not _same(text, probe):
             return _OPEN
         text[:] = 0  # in a replay there was no such answer
-        forked = _fork_probe()
+        forked = fork_and_wait()
         if forked:
             return forked
 
@@ -106,23 +105,3 @@ def _same(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
         if one[place] != other[place]:
             return False
     return True
-
-
-@njit(cache=True)
-def _fork_probe() -> int:
-    """Fork one: 1 in the probe, 0 in the node once the probe has ended, or an error's negative number.
-
-    Not by fork(3), at which libraries tidy up in the node as well: OpenBLAS gives its memory back.
-    """
-    node = c_library.getpid()
-    probe = c_library.syscall(c_library.CLONE, _SIGCHLD, 0, 0, 0, 0)
-    if probe < 0:
-        return -c_library.error()
-    if probe:
-        while c_library.waitpid(probe, 0, 0) < 0 and c_library.error() == _EINTR:
-            pass
-        return 0
-    c_library.prctl(PR_SET_PDEATHSIG, _SIGKILL)
-    if c_library.getppid() != node:
-        c_library.exit_at_once(1)
-    return 1

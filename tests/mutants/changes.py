@@ -703,8 +703,8 @@ MUTANTS: list[Mutant] = [
         ("checks: one that is off refuses", "if check in checks and not unless:", "if not unless:"),
     ),
     *_of(
-        "services/runtime/recovery.py",
-        "tests/services/runtime/test_recovery.py",
+        "services/recovery/recovery.py",
+        "tests/services/recovery/test_recovery.py",
         (
             "recovery: one retry more",
             "for _ in range(self._spec.retries if",

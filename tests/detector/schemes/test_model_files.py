@@ -22,11 +22,11 @@ from detector.series.monitored_states import WATCHED, as_check
 from tests.detector.stored_lessons import load_lessons
 
 LESSONS = Path(__file__).parents[1] / "lessons"
-SHIPPED = ("autoencoder", "gaussian", "kinematic")
+SHIPPED = ("autoencoder", "gaussian", "kinematic", "physical", "predictor")
 
 
 def test_the_shipped_models_are_the_schemes_that_are_announced() -> None:
-    assert set(SHIPPED) == set(with_models()) <= set(scheme_names())
+    assert {*SHIPPED, "reexecution"} == set(with_models()) <= set(scheme_names())
 
 
 @pytest.mark.parametrize("name", ["gaussian", "kinematic"])
@@ -81,6 +81,13 @@ def test_bad_files_are_refused_in_one_line(name: str, tmp_path: Path) -> None:
     path.write_bytes(b"\xff\xfe\x00")
     refused(path, name, "cannot be read")
     refused(tmp_path / "missing.json", name, "cannot be read")
+
+
+def test_a_model_of_reexecution_has_no_parameters(tmp_path: Path) -> None:
+    text = (MODELS / "reexecution.json").read_text()
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps({**json.loads(text), "parameters": {"limits": [1.0]}}))
+    refused(path, "reexecution", "no parameters")
 
 
 def test_an_unknown_scheme_is_told_with_those_that_are_there() -> None:

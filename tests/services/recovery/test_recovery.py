@@ -1,6 +1,7 @@
 """An output that is found wrong is made again, so many times and no more, and every time is counted."""
 
 from collections import Counter
+from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 
 from services.bus.arrays import Floats
 from services.bus.detector_protocol import DetectorReply, answer, asked
+from services.bus.proxy_link import Digest
 from services.models.detection import AlarmRecord, DetectorSpec
-from services.runtime.recovery import Recovery
+from services.recovery.recovery import Recovery
 
 CHECK_NS, MAKE_NS = 7, 1000
 
@@ -49,6 +51,9 @@ class Control:
 
     def tell_alarm(self, record: AlarmRecord) -> None:
         self.told.append(record)
+
+    def overheard(self, digest: Digest, *, in_a_copy: bool) -> AbstractContextManager[None]:
+        pytest.fail(f"the output is made in a copy: {digest}, {in_a_copy}")
 
     def compute(self) -> int:
         self.made += 1

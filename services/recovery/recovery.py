@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, TypeVar
 
 from services.bus.arrays import Floats
 from services.bus.detector_protocol import DetectorReply, answered, question
+from services.bus.messages import encode
+from services.bus.topics import TOPICS
 from services.models.detection import AlarmRecord, DetectorSpec
+from services.recovery.reexecution import SCHEME, Reexecution, RepeatableStage
 
 SCOPES = {
     "all": ("perception", "planning", "control"),
@@ -22,11 +26,10 @@ Again = Callable[[], object]
 Made = TypeVar("Made")
 
 
-class RecoveringStage(Protocol):
+class RecoveringStage(RepeatableStage, Protocol):
     """What recovery needs of the node that it belongs to."""
 
     name: str
-    now_ns: int
 
     def verdict(self, payload: bytes) -> bytes | None:
         """Ask the detector; None if nobody answers."""
@@ -73,6 +76,12 @@ class Recovery:
         self._dead = False
         self._unjudged: dict[str, _Unjudged] = {}
         self._alarmed_before: set[str] = set()
+        self._reexecution = Reexecution(stage) if spec is not None and spec.scheme == SCHEME else None
+
+    @property
+    def reexecutes(self) -> bool:
+        """Whether outputs are made twice: then one that is made again is made as before."""
+        return self._reexecution is not None
 
     def sound(
         self,
@@ -87,13 +96,7 @@ class Recovery:
         ``shown`` gives what a detector is shown of a message. The last of the retries is taken whatever is
         said of it. ``before_again`` comes before each, and, with the gate off, before what follows an alarm.
         """
-
-        def make() -> tuple[Made, Any]:
-            made = compute()
-            sent = message(made)
-            self._stage.corrupt(topic, sent)
-            return made, sent
-
+        make = self._maker(topic, compute, message)
         if topic in self._alarmed_before and before_again is not None:
             before_again()
         self._alarmed_before.discard(topic)
@@ -104,7 +107,7 @@ class Recovery:
             self._unjudged[topic] = _Unjudged(shown(sent), before_again)
             return made, sent
         for _ in range(self._spec.retries if self._recovers else 0):
-            found = self._gated(shown(sent))
+            found = self._gated(topic, shown(sent))
             if found is None:
                 return made, sent
             alarmed_ns = self._stage.now_ns
@@ -114,31 +117,51 @@ class Recovery:
             made, sent = make()
             self._stage.count("recomputed")
             self._tell(topic, found, "recomputed", alarmed_ns)
-        found = self._gated(shown(sent))
+        found = self._gated(topic, shown(sent))
         if found is not None:
             self._tell(topic, found, "published", self._stage.now_ns)
             self._fresh = True
         return made, sent
 
+    def _maker(
+        self, topic: str, compute: Callable[[], Made], message: Callable[[Made], Any]
+    ) -> Callable[[], tuple[Made, Any]]:
+        """How an output and its message are made, once or twice."""
+
+        def make() -> tuple[Made, Any]:
+            made = compute()
+            sent = message(made)
+            self._stage.corrupt(topic, sent)
+            return made, sent
+
+        twice = self._reexecution
+        if twice is None:
+            return make
+        return lambda: twice.make(make, lambda both: encode(both[1], TOPICS[topic].type))
+
     def published(self, topic: str) -> None:
         """With the gate off, take the verdict on what has just been published."""
         judged = self._unjudged.pop(topic, None)
-        found = self._asked(judged.rows) if judged is not None else None
+        found = self._asked(topic, judged.rows) if judged is not None else None
         if judged is None or found is None:
             return
-        drops = self._recovers and judged.before_again is not None
+        drops = self._recovers and judged.before_again is not None and not self.reexecutes
         if drops:
             self._alarmed_before.add(topic)
         self._tell(topic, found, "waypoint_dropped" if drops else "published", self._stage.now_ns)
         self._fresh = True
 
-    def _gated(self, rows: Floats) -> DetectorReply | None:
-        found = self._asked(rows)
+    def _gated(self, topic: str, rows: Floats) -> DetectorReply | None:
+        found = self._asked(topic, rows)
         self._stage.elapse_check(self._checks)
+        if self._reexecution is not None:
+            self._stage.now_ns += self._reexecution.took_ns
         self._checks += 1
         return found
 
-    def _asked(self, rows: Floats) -> DetectorReply | None:
+    def _asked(self, topic: str, rows: Floats) -> DetectorReply | None:
+        if self._reexecution is not None:
+            return self._differing(topic)
         reply = None if self._dead else self._stage.verdict(question(rows, fresh=self._fresh))
         self._fresh = False
         if reply is None:
@@ -149,6 +172,14 @@ class Recovery:
         if found is not None:
             self._stage.count("alarms")
         return found
+
+    def _differing(self, topic: str) -> DetectorReply | None:
+        """What is said of an output that two runs made: nothing if they made the same."""
+        assert self._reexecution is not None  # noqa: S101 - asked for where there is one
+        if not self._reexecution.differed:
+            return None
+        self._stage.count("alarms")
+        return DetectorReply(topic, 0, sys.float_info.max)
 
     def _tell(self, topic: str, found: DetectorReply, action: Action, alarmed_ns: int) -> None:
         self._stage.tell_alarm(

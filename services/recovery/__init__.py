@@ -1,0 +1,1 @@
+"""What a stage does about an output that a detector finds wrong."""
