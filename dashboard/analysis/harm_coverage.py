@@ -14,8 +14,11 @@ from rich.console import Console
 from rich.table import Table
 
 from dashboard.campaigns.statistics.proportions import clopper_pearson
+from deploy.config.platform import load_platform
 from deploy.errors import BadSpecError
 from detector.evaluation.coverage import Coverage, FaultVerdict, JudgedFlight, at_budget
+from detector.series.series import Series
+from services.recovery.reexecution import SCHEME as REEXECUTION
 
 BOUNDS = (0.95, 0.99)
 """Levels of the one-sided lower bounds of coverage."""
@@ -26,7 +29,8 @@ _LEGEND = (
     "false alarms? All schemes have the same budgets: each other golden flight sets the limit of the score,\n"
     "the rest tell the false alarms. Bounds of what is caught are one-sided (Clopper-Pearson), intervals of\n"
     "false alarms two-sided (Poisson). Times are medians, with the tenth and the ninetieth percentile: from\n"
-    "the fault to the alarm, and from the alarm to the harm."
+    "the fault to the alarm, and from the alarm to the harm. Compute is virtual time on the flights'\n"
+    "platform; that of re-execution is the kernels' second run."
 )
 _HEADS = (
     "scheme",
@@ -41,6 +45,7 @@ _HEADS = (
     "> 99 %",
     "alarm after, s",
     "margin, s",
+    "compute, % of the time",
 )
 
 
@@ -61,10 +66,35 @@ BUDGETS = (Budget("0.1 a flight", 0.1, 0.0), Budget("1 in 100 h", 0.0, 0.01))
 
 @dataclass(frozen=True, slots=True)
 class SchemeCoverage:
-    """A scheme, and what it finds within each budget."""
+    """A scheme, and what it finds within each budget.
+
+    ``compute_share`` is the virtual time that it takes, as a part of the missions' time; None if their
+    platform does not say.
+    """
 
     scheme: str
+    compute_share: float | None
     at: Sequence[tuple[Budget, Coverage]]
+
+
+def compute_share(scheme: str, flights: Sequence[Series]) -> float | None:
+    """The virtual time that a scheme takes in golden flights, as a part of theirs; None if nobody knows.
+
+    Re-execution takes that of the kernels, the others that of their checks on the flights' platform.
+    """
+    golden = [one for one in flights if "harm" not in one.about]
+    if scheme == REEXECUTION:
+        took_s = sum(float(one.about["kernels_s"]) for one in golden)
+    else:
+        checks = [load_platform(one.spec.platform).detectors.get(scheme) for one in golden]
+        if None in checks:
+            return None
+        took_s = sum(
+            check.mean_ms / 1e3 * sum(map(len, one.checks.values()))
+            for check, one in zip(checks, golden, strict=True)
+            if check is not None
+        )
+    return took_s / max(sum(float(one.about["time_s"]) for one in golden), 1e-9)
 
 
 def lower_bound(found: int, of: int, level: float) -> float:
@@ -81,7 +111,8 @@ def events_interval(events: int, level: float = 0.95) -> tuple[float, float]:
 
 def as_dict(one: SchemeCoverage) -> dict[str, Any]:
     """Every figure, as JSON can hold it."""
-    return {"scheme": one.scheme, "budgets": [_figures(budget, found) for budget, found in one.at]}
+    budgets = [_figures(budget, found) for budget, found in one.at]
+    return {"scheme": one.scheme, "compute_share": one.compute_share, "budgets": budgets}
 
 
 def _figures(budget: Budget, found: Coverage) -> dict[str, Any]:
@@ -110,7 +141,7 @@ def show(console: Console, found: Sequence[SchemeCoverage]) -> None:
     """Print what each scheme catches within each budget, then by class of fault."""
     heads = ("scheme", "false alarms", "in flights", "caught in time", "%", "> 95 %", "margin, s")
     for number, budget in enumerate(BUDGETS):
-        rows = [_short_row(one.scheme, one.at[number][1]) for one in found]
+        rows = [_short_row(one, one.at[number][1]) for one in found]
         title = f"harmful faults caught before they harm, at {budget.words}"
         console.print(_table(title, heads, rows, left=1))
     title = f"caught in time, at {BUDGETS[0].words}"
@@ -155,19 +186,19 @@ def _markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _rows(found: Sequence[SchemeCoverage]) -> list[list[str]]:
-    rows = [_row(one.scheme, budget.words, coverage) for one in found for budget, coverage in one.at]
+    rows = [_row(one, budget.words, coverage) for one in found for budget, coverage in one.at]
     faults = len(found[0].at[0][1].verdicts) if found else 0
-    return [["none", "", "", "0", "0", "0", f"0 of {faults}", "0", "0", "0", "", ""], *rows]
+    return [["none", "", "", "0", "0", "0", f"0 of {faults}", "0", "0", "0", "", "", "0"], *rows]
 
 
-def _row(scheme: str, budget: str, found: Coverage) -> list[str]:
+def _row(one: SchemeCoverage, budget: str, found: Coverage) -> list[str]:
     low, high = events_interval(found.alarms)
     faults = len(found.verdicts)
-    caught = [one for one in found.verdicts if one.in_time]
-    delays = [one.alarm_s - one.harm.injected_s for one in caught if one.alarm_s is not None]
-    margins = [one.margin_s for one in caught if one.margin_s is not None]
+    caught = [that for that in found.verdicts if that.in_time]
+    delays = [that.alarm_s - that.harm.injected_s for that in caught if that.alarm_s is not None]
+    margins = [that.margin_s for that in caught if that.margin_s is not None]
     return [
-        scheme,
+        one.scheme,
         budget,
         f"{found.limit:.3g}",
         str(found.alarms),
@@ -178,13 +209,14 @@ def _row(scheme: str, budget: str, found: Coverage) -> list[str]:
         *(f"{100 * lower_bound(found.in_time, faults, level):.1f}" for level in BOUNDS),
         _quantiles(delays),
         _quantiles(margins),
+        "unknown" if one.compute_share is None else f"{100 * one.compute_share:.2g}",
     ]
 
 
-def _short_row(scheme: str, found: Coverage) -> list[str]:
-    row = dict(zip(_HEADS, _row(scheme, "", found), strict=True))
+def _short_row(one: SchemeCoverage, found: Coverage) -> list[str]:
+    row = dict(zip(_HEADS, _row(one, "", found), strict=True))
     shown = [row[name] for name in ("caught in time", "%", "> 95 %", "margin, s")]
-    return [scheme, str(found.alarms), str(found.flights), *shown]
+    return [one.scheme, str(found.alarms), str(found.flights), *shown]
 
 
 def _with_ends(times: float, events: int, low: float, high: float) -> str:

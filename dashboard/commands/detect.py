@@ -17,7 +17,7 @@ from dashboard.analysis import harm_coverage
 from dashboard.analysis.harm_coverage import BUDGETS, SchemeCoverage
 from dashboard.campaigns.results.harmful_faults import HarmfulFault, read_collection
 from dashboard.terminal.options import as_json
-from deploy.bench.detector_series import record as fly_and_watch
+from deploy.bench.detector_series import watched
 from deploy.bench.harmful_series import flown_again, golden_missions
 from deploy.errors import BadSpecError
 from deploy.mission.fork_server import ForkServer
@@ -27,6 +27,7 @@ from detector.schemes.registry import load_detector, with_models
 from detector.series.series import Series, load_folder
 from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
+from services.recovery.reexecution import SCHEME as REEXECUTION
 
 HARMFUL, GOLDEN = "harmful", "golden"
 """The folders of a recorded collection."""
@@ -75,7 +76,7 @@ def record(collection: Path, output: Path, golden: int) -> None:
         for mission in track(missions, "golden", console=messages):
             path = output / GOLDEN / _file_of(mission)
             if not path.exists():
-                fly_and_watch(mission, server).save(path)
+                watched(mission, server)[0].save(path)
     if differing:
         message = f"{collection}: {differing} of {len(faults)} flights do not repeat here and were left out"
         raise BadSpecError(message)
@@ -124,6 +125,9 @@ def evaluate(data: Path, names: tuple[str, ...], page: Path | None, as_json: boo
     makes = {name: partial(load_detector, name, learning=True) for name in names or with_models()}
     for make in makes.values():
         make()
+    if REEXECUTION in makes and any("differed_s" not in one.about for one in flights):
+        message = f"{data}: holds flights without {REEXECUTION}; make them by zenfi detect record"
+        raise BadSpecError(message)
     found = [_of_scheme(name, make, flights) for name, make in makes.items()]
     if as_json:
         for one in found:
@@ -136,4 +140,5 @@ def evaluate(data: Path, names: tuple[str, ...], page: Path | None, as_json: boo
 
 def _of_scheme(name: str, make: Callable[[], Scheme], flights: Sequence[Series]) -> SchemeCoverage:
     scores = [judged(make(), one) for one in track(flights, name, console=messages)]
-    return SchemeCoverage(name, [(budget, budget.coverage(scores)) for budget in BUDGETS])
+    share = harm_coverage.compute_share(name, flights)
+    return SchemeCoverage(name, share, [(budget, budget.coverage(scores)) for budget in BUDGETS])

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from deploy.config.platform import load_platform
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
 from deploy.pairing.golden_twin import compare, draw_call
@@ -18,8 +19,20 @@ from services.bus.arrays import Floats, plan, state, verdict
 from services.bus.detector_protocol import shown_command, shown_trajectory, shown_verdict
 from services.bus.horizon import Stamped
 from services.bus.messages import MalformedMessageError, decode
-from services.bus.topics import TICK_NS, TOPICS
+from services.bus.topics import STAGES, TICK_NS, TOPICS
+from services.models.detection import DetectorSpec
 from services.models.mission import MissionSpec
+from services.models.outcome import Outcome
+from services.recovery.reexecution import SCHEME
+
+TWICE = DetectorSpec(scheme=SCHEME, gate="off", recovery="off")
+"""Each output is made twice and compared, and the flight is what it is without: nobody acts on it."""
+
+
+def watched(spec: MissionSpec, server: ForkServer) -> tuple[Series, str]:
+    """Fly a mission, its fault too: what detectors see, with re-execution, and the flight's digest."""
+    flight = fly(spec.model_copy(update={"detector": TWICE}), server, keep_messages=True)
+    return series(spec, flight), flight.outcome.digest
 
 
 def record(spec: MissionSpec, server: ForkServer) -> Series:
@@ -46,7 +59,7 @@ def series(spec: MissionSpec, flight: FlownMission) -> Series:
     """
     messages, outcome = flight.messages, flight.outcome
     assert messages is not None  # noqa: S101 - asked for by the caller
-    about = {
+    about: dict[str, Any] = {
         "spec": spec.model_dump(mode="json"),
         "result": outcome.result,
         "digest": outcome.digest,
@@ -54,12 +67,22 @@ def series(spec: MissionSpec, flight: FlownMission) -> Series:
     }
     if outcome.injection is not None and outcome.injection.status == "injected":
         about["injected_s"] = outcome.injection.virtual_time_ns / 1e9
+    if outcome.spec.detector == TWICE and outcome.detection is not None:
+        about["differed_s"] = [alarm.virtual_time_ns / 1e9 for alarm in outcome.detection.alarms]
+        about["kernels_s"] = _kernels_s(outcome)
     checks = {
         "perception": _perception(messages["collision_check"]),
         "planning": _planning(messages["trajectory"]),
         "control": _control(spec, messages),
     }
     return Series(checks, about)
+
+
+def _kernels_s(outcome: Outcome) -> float:
+    """The virtual time that the kernels of a flight took, at their mean on its platform."""
+    latencies = load_platform(outcome.spec.platform).kernels
+    uses = [use for stage in STAGES if stage in outcome.nodes for use in outcome.nodes[stage].kernels.items()]
+    return sum(latencies[kernel].mean_ms * use.invocations for kernel, use in uses) / 1e3
 
 
 def _perception(found: Sequence[Stamped]) -> Checks:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from deploy.bench.detector_series import series
-from deploy.mission.flight import fly
+from deploy.bench.detector_series import watched
 from deploy.mission.fork_server import ForkServer
 from detector.series.series import Series
 from services.models.mission import MissionSpec
@@ -17,10 +16,8 @@ GOLDEN_SEED = 1 << 20
 
 def flown_again(outcome: Outcome, server: ForkServer) -> Series | None:
     """A flight with a fault as a detector would see it; None if it does not repeat here."""
-    flight = fly(outcome.spec, server, keep_messages=True)
-    if flight.outcome.digest != outcome.digest:
-        return None
-    return series(outcome.spec, flight)
+    flight, digest = watched(outcome.spec, server)
+    return flight if digest == outcome.digest else None
 
 
 def golden_missions(outcomes: Sequence[Outcome], count: int) -> Iterator[MissionSpec]:

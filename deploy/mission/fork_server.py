@@ -15,7 +15,6 @@ import socket
 import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deploy.config.processes import STACK, ProcessDeclaration
@@ -24,7 +23,7 @@ from injector.reproducible import launch
 from services.bus.session import BusAddress
 from services.runtime.setup import NodeSetup
 from services.system import plug_ins
-from services.system.process_stat import is_stopped, pid_of
+from services.system.process_stat import children, is_stopped, pid_of
 from services.system.shared_stats import SharedStats
 
 if TYPE_CHECKING:
@@ -167,7 +166,7 @@ class ForkServer:
         return _ready(self.socket.fileno())
 
     def _end_if_stopped(self) -> None:
-        if any(is_stopped(pid) for pid in (self.pid, *_children(self.pid))):
+        if any(is_stopped(pid) for pid in (self.pid, *children(self.pid))):
             self._process.kill()
 
     def _receive(self) -> Forked | None:
@@ -225,10 +224,3 @@ def _ready(descriptor: int) -> bool:
     poll = select.poll()
     poll.register(descriptor, select.POLLIN)
     return bool(poll.poll(0))
-
-
-def _children(pid: int) -> list[int]:
-    """The children of a process with one thread; none once it is gone."""
-    with contextlib.suppress(OSError):
-        return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    return []

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from deploy.errors import DisturbedFlightError
-from services.system.process_stat import wants_processor
+from services.system.process_stat import children, wants_processor
 
 STALL_S = 20.0
 """Wall time without a message or promise after which somebody must be hanging outside a step."""
@@ -74,9 +74,13 @@ class Silence:
 
 
 def computes(pids: Sequence[int]) -> bool:
-    """Whether one of some processes runs or waits for a processor, most of the times that it is looked."""
+    """Whether one of some processes runs or waits for a processor, most of the times that it is looked.
+
+    So does who waits for a copy of itself that does.
+    """
     seen = 0
     for _ in range(LOOKS):
-        seen += any(map(wants_processor, pids))
+        copies = [copy for pid in pids for copy in children(pid)]
+        seen += any(map(wants_processor, (*pids, *copies)))
         time.sleep(PAUSE_S)
     return 2 * seen > LOOKS

@@ -182,8 +182,8 @@ class Node:
     def overheard(self, digest: Digest, *, in_a_copy: bool) -> Iterator[None]:
         """Add all that is published in the body of a ``with`` statement to a digest, too.
 
-        In a copy of the node, a fork that ends with the body, nothing else is done with it; nothing is counted
-        or asked for, and no fault strikes.
+        In a copy of the node, a fork that ends with the body, it goes nowhere else, nothing is counted or
+        asked for, and no fault strikes.
         """
         proxy = self._proxy
         if in_a_copy:

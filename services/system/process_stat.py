@@ -99,6 +99,14 @@ def wants_processor(pid: int) -> bool:
         return False
 
 
+def children(pid: int) -> list[int]:
+    """The children of a process's main thread; none once it is gone."""
+    try:
+        return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except OSError:
+        return []
+
+
 def _read(path: str) -> ProcessStat:
     # Without a file object: a study asks several times for each injection.
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)

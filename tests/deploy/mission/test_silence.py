@@ -22,6 +22,14 @@ def spin():
     while True: pass
 threading.Thread(target=spin).start()
 """
+IN_A_COPY = """
+import os
+from services.system.lifeline import die_with_parent
+if os.fork():
+    os.wait()
+die_with_parent()
+while True: pass
+"""
 
 
 @contextmanager
@@ -41,7 +49,9 @@ def running(program: str, *, last: bool = False) -> Iterator[int]:
             one.kill()
 
 
-@pytest.mark.parametrize(("program", "expected"), [(SPIN, True), (IN_A_THREAD, True), (WAIT, False)])
+@pytest.mark.parametrize(
+    ("program", "expected"), [(SPIN, True), (IN_A_THREAD, True), (IN_A_COPY, True), (WAIT, False)]
+)
 def test_a_process_computes_or_waits(program: str, expected: bool) -> None:
     with running(program) as pid, running(WAIT) as another:
         wait_until(lambda: computes([another, pid]) == expected, 30)

@@ -1,0 +1,77 @@
+"""Re-execution in flight: it changes nothing of a sound flight, and finds what strikes an output."""
+
+import pytest
+
+from deploy.bench.detector_series import TWICE, watched
+from deploy.mission.flight import fly
+from deploy.mission.fork_server import ForkServer
+from deploy.pairing.golden_twin import PairFlyer
+from services.models.faults.specification import FaultSpec
+from services.models.mission import Limits, MissionSpec
+from services.models.outcome import Outcome
+
+SHORT = Limits(mission_time_s=8.0)
+
+
+def mission(**fields: object) -> MissionSpec:
+    return MissionSpec.model_validate({"seed": 11, "limits": SHORT, **fields})
+
+
+def struck(server: ForkServer, fault: FaultSpec, **detector: object) -> Outcome:
+    spec = mission(detector={"scheme": "reexecution", **detector}, fault=fault)
+    outcome = PairFlyer(server).fly(spec)
+    assert outcome.injection is not None
+    assert outcome.injection.status == "injected"
+    return outcome
+
+
+@pytest.mark.parametrize("pilot", ["guarded", "baseline"])
+def test_a_golden_flight_is_what_it_is_without_and_nothing_differs(pilot: str, server: ForkServer) -> None:
+    spec = mission(pilot=pilot, pace={"take_off_s": 1.0, "look_round_s": 1.0, "plan_wait_s": 1.0})
+    seen, digest = watched(spec, server)
+    assert digest == fly(spec, server).outcome.digest
+    assert seen.about["differed_s"] == []
+    assert seen.about["spec"]["detector"] is None
+
+
+@pytest.mark.parametrize(
+    ("target", "stage"),
+    [
+        ("collision_check.time_to_collision", "perception"),
+        ("trajectory.x", "planning"),
+        ("command.vx", "control"),
+    ],
+)
+def test_the_output_that_a_fault_changed_differs_and_no_other(
+    target: str, stage: str, server: ForkServer
+) -> None:
+    outcome = struck(server, FaultSpec(level="source", target=target, seed=4), gate="off", recovery="off")
+    assert outcome.injection is not None
+    assert outcome.detection is not None
+    (alarm,) = outcome.detection.alarms
+    assert (alarm.stage, alarm.action, alarm.true) == (stage, "published", True)
+    assert alarm.virtual_time_ns == outcome.injection.virtual_time_ns
+    asked = outcome.spec.model_copy(update={"detector": None})
+    assert fly(asked, server).outcome.digest == outcome.digest
+
+
+def test_a_struck_command_is_made_again_and_never_flown(server: ForkServer) -> None:
+    fault = FaultSpec(level="source", target="command.vx", bit_numbers=(62,), seed=4)
+    outcome = struck(server, fault)
+    assert outcome.detection is not None
+    (alarm,) = outcome.detection.alarms
+    assert (alarm.stage, alarm.action) == ("control", "recomputed")
+    assert outcome.nodes["control"].recomputed == 1
+    golden = fly(mission(detector={"scheme": "reexecution"}), server).outcome
+    assert golden.detection is not None
+    assert not golden.detection.alarms
+    assert outcome.qof.distance_m == pytest.approx(golden.qof.distance_m, rel=1e-3)
+
+
+def test_a_fault_in_an_instruction_that_changes_the_command_is_found(server: ForkServer) -> None:
+    fault = FaultSpec(target="pid", field="exponent", seed=3)
+    outcome = struck(server, fault, **TWICE.model_dump(include={"gate", "recovery"}))
+    assert outcome.detection is not None
+    assert outcome.propagation is not None
+    changed = [one.stage for one in outcome.propagation.topics if one.causes == ["fault"]]
+    assert [one.stage for one in outcome.detection.alarms[:1]] == changed[:1]
