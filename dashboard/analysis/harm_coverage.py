@@ -157,7 +157,14 @@ def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], left
     return table
 
 
-def write(path: Path, found: Sequence[SchemeCoverage], command: str) -> None:
+def ranked(found: Sequence[SchemeCoverage]) -> list[SchemeCoverage]:
+    """The schemes by what they catch in time at each budget, the best first; then by their names."""
+    return sorted(found, key=lambda one: ([-caught.in_time for _, caught in one.at], one.scheme))
+
+
+def write(
+    path: Path, found: Sequence[SchemeCoverage], command: str, title: str = "Detectors, judged on harm"
+) -> None:
     """Write the page of results that ``command`` makes.
 
     :raises BadSpecError: if the file cannot be written.
@@ -165,7 +172,7 @@ def write(path: Path, found: Sequence[SchemeCoverage], command: str) -> None:
     golden = found[0].at[0][1]
     counted = f"{len(golden.verdicts)} harmful faults, {golden.flights} golden flights ({golden.hours:.1f} h)"
     parts = [
-        "# Detectors, judged on harm",
+        f"# {title}",
         _LEGEND,
         f"```\nzenfi harm collect LABEL --output harmful.jsonl\n{_RECORD}\n{command}\n```",
         f"{counted} that set no limit.",

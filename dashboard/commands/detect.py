@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import AbstractContextManager, closing, nullcontext
 from functools import partial
 from pathlib import Path
 
 import click
+import numpy as np
 from rich.console import Console
 from rich.progress import track
 
@@ -22,15 +24,18 @@ from deploy.bench.harmful_series import flown_again, golden_missions
 from deploy.errors import BadSpecError
 from deploy.mission.fork_server import ForkServer
 from detector.evaluation.coverage import HarmReport, class_of, judged
+from detector.evaluation.outside_schemes import ScoringProgram, scheme_in
 from detector.schemes.base import Scheme
 from detector.schemes.registry import load_detector, with_models
 from detector.series.series import Series, load_folder
 from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
-from services.recovery.reexecution import SCHEME as REEXECUTION
 
 HARMFUL, GOLDEN = "harmful", "golden"
 """The folders of a recorded collection."""
+
+FEWEST = 2
+"""Flights below which there is nothing to divide."""
 
 messages = Console(stderr=True)
 
@@ -103,6 +108,24 @@ def report_of(fault: HarmfulFault) -> HarmReport:
     )
 
 
+def _recorded(data: Path) -> list[Series]:
+    """The flights that `zenfi detect record` has kept."""
+    flights = [*load_folder(data / HARMFUL), *load_folder(data / GOLDEN)]
+    if any("harm" not in one.about for one in flights if one.spec.fault is not None):
+        what = "of which no harm is known"
+    elif any("differed_s" not in one.about for one in flights):
+        what = "without re-execution"
+    else:
+        return flights
+    message = f"{data}: holds flights {what}; make them by zenfi detect record"
+    raise BadSpecError(message)
+
+
+def _installed(names: Sequence[str]) -> dict[str, Callable[[], Scheme]]:
+    """How detectors of some schemes are made, or of all that have a model."""
+    return {name: partial(load_detector, name, learning=True) for name in names or with_models()}
+
+
 @detect.command()
 @click.argument("data", metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--scheme", "names", multiple=True, help="Default: all that have a model.")
@@ -116,18 +139,10 @@ def evaluate(data: Path, names: tuple[str, ...], page: Path | None, as_json: boo
     All schemes are compared at 0.1 false alarms a flight and at 1 in 100 hours. Half of the golden flights
     set the limit of the score, the others tell how many false alarms it gives.
     """
-    flights = [*load_folder(data / HARMFUL), *load_folder(data / GOLDEN)]
-    if any("harm" not in one.about for one in flights if one.spec.fault is not None):
-        message = (
-            f"{data / HARMFUL}: holds flights of which no harm is known; make them by zenfi detect record"
-        )
-        raise BadSpecError(message)
-    makes = {name: partial(load_detector, name, learning=True) for name in names or with_models()}
+    flights = _recorded(data)
+    makes = _installed(names)
     for make in makes.values():
         make()
-    if REEXECUTION in makes and any("differed_s" not in one.about for one in flights):
-        message = f"{data}: holds flights without {REEXECUTION}; make them by zenfi detect record"
-        raise BadSpecError(message)
     found = [_of_scheme(name, make, flights) for name, make in makes.items()]
     if as_json:
         for one in found:
@@ -138,7 +153,98 @@ def evaluate(data: Path, names: tuple[str, ...], page: Path | None, as_json: boo
         harm_coverage.write(page, found, f"zenfi detect evaluate {data.name} --page {page.name}")
 
 
-def _of_scheme(name: str, make: Callable[[], Scheme], flights: Sequence[Series]) -> SchemeCoverage:
-    scores = [judged(make(), one) for one in track(flights, name, console=messages)]
+@detect.command()
+@click.argument("data", metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--output", type=click.Path(file_okay=False, path_type=Path), required=True, metavar="SEALED")
+@click.option("--seed", type=click.IntRange(0), help="Default: nobody knows it.")
+def seal(data: Path, output: Path, seed: int | None) -> None:
+    """Take half of the flights in DIR away to SEALED, drawn at random.
+
+    What stays may be given to whoever develops a scheme; on what is sealed, `zenfi detect league` judges it.
+    """
+    if output.exists() and any(output.iterdir()):
+        message = f"{output}: is not empty; give a new folder"
+        raise BadSpecError(message)
+    draw = np.random.default_rng(seed)
+    for name in (HARMFUL, GOLDEN):
+        files = sorted((data / name).glob("*.npz"))
+        if len(files) < FEWEST:
+            message = f"{data / name}: holds {len(files)} flights, too few to divide; record more"
+            raise BadSpecError(message)
+    for name in (HARMFUL, GOLDEN):
+        (output / name).mkdir(parents=True)
+        files = sorted((data / name).glob("*.npz"))
+        for number in draw.choice(len(files), len(files) // 2, replace=False):
+            shutil.move(files[number], output / name)
+    click.echo(f"{output}: {_count(output)}; left in {data}: {_count(data)}")
+
+
+def _count(data: Path) -> str:
+    harmful, golden = (len(list((data / name).glob("*.npz"))) for name in (HARMFUL, GOLDEN))
+    return f"{harmful} harmful and {golden} golden flights"
+
+
+@detect.command()
+@click.argument("entry", metavar="FOLDER|PROGRAM|NAME")
+@click.option(
+    "--data",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    required=True,
+    metavar="SEALED",
+    help="Recorded flights that nobody has seen who made the scheme: `zenfi detect seal`.",
+)
+@click.option(
+    "--model", type=click.Path(dir_okay=False, path_type=Path), help="Default: NAME.json in FOLDER."
+)
+@click.option("--page", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE.md")
+@as_json
+def league(entry: str, data: Path, model: Path | None, page: Path | None, as_json: bool) -> None:
+    """Rank a scheme among those that come along, on flights that it has not seen.
+
+    It is that of a package's FOLDER, which need not be installed; a PROGRAM that answers scores; or one that
+    is installed. Its code runs here: have it judged only if you trust it.
+    """
+    flights = _recorded(data)
+    name, make = _entrant(entry, model)
+    with _opened(make()):  # who cannot be judged is told of before anybody is
+        makes = {**_installed(()), name: make}
+    found = [_of_scheme(one, makes[one], flights) for one in makes]
+    ranked = harm_coverage.ranked(found)
+    if as_json:
+        for place, one in enumerate(ranked, 1):
+            click.echo(
+                json.dumps({"place": place, "entry": one.scheme == name, **harm_coverage.as_dict(one)})
+            )
+    else:
+        harm_coverage.show(Console(), ranked)
+        place = [one.scheme for one in ranked].index(name) + 1
+        click.echo(f"{name} is number {place} of {len(ranked)}")
+    if page is not None:
+        command = f"zenfi detect league {Path(entry).name} --data {data.name} --page {page.name}"
+        harm_coverage.write(page, ranked, command, f"League: {name} among {len(ranked) - 1} others")
+
+
+def _entrant(entry: str, model: Path | None) -> tuple[str, Callable[[], Scheme | ScoringProgram]]:
+    path = Path(entry)
+    if path.is_dir():
+        name, _ = scheme_in(path)
+        return name, partial(load_detector, name, model if model is not None else path / f"{name}.json")
+    if path.is_file():
+        return path.stem, partial(ScoringProgram, path)
+    return entry, partial(load_detector, entry, model)
+
+
+def _opened(scheme: Scheme | ScoringProgram) -> AbstractContextManager[Scheme | ScoringProgram]:
+    """A program ends with the context."""
+    return scheme if isinstance(scheme, ScoringProgram) else nullcontext(scheme)
+
+
+def _of_scheme(
+    name: str, make: Callable[[], Scheme | ScoringProgram], flights: Sequence[Series]
+) -> SchemeCoverage:
+    scores = []
+    for one in track(flights, name, console=messages):
+        with _opened(make()) as scheme:
+            scores.append(judged(scheme, one))
     share = harm_coverage.compute_share(name, flights)
     return SchemeCoverage(name, share, [(budget, budget.coverage(scores)) for budget in BUDGETS])

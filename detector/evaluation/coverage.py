@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from detector.schemes.base import Floats, Scheme
+from detector.schemes.base import Floats
 from detector.series.series import Series
 from services.models.base import Strict
 from services.models.faults.specification import FaultSpec
@@ -65,7 +66,28 @@ class JudgedFlight:
         return float(found[0]) if len(found) else None
 
 
-def judged(scheme: Scheme, flight: Series) -> JudgedFlight:
+class Judge(Protocol):
+    """What judges the checks of one flight: a scheme, or who answers in its stead."""
+
+    @property
+    def name(self) -> str:
+        """The name under which the scheme is compared."""
+        ...
+
+    def score(self, stage: str, values: Floats) -> float:
+        """The score of a stage's next check."""
+        ...
+
+    def check(self, stage: str, values: Floats) -> object | None:
+        """Something if that check is an alarm."""
+        ...
+
+    def reset(self, stage: str) -> None:
+        """Forget what a stage asked before."""
+        ...
+
+
+def judged(scheme: Judge, flight: Series) -> JudgedFlight:
     """Have a scheme judge all checks of a flight, as it would in flight with nobody listening to it.
 
     What re-execution found is in the recording.

@@ -43,7 +43,7 @@ class ComparedByStages(Scheme):
 
     @classmethod
     def load(cls, parameters: Mapping[str, Any], *, learning: bool = True) -> Self:  # noqa: ARG003
-        """Make one of no parameters.
+        """Make a scheme, for which there are no parameters.
 
         :raises ValueError: if there are some.
         """

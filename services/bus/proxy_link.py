@@ -35,11 +35,11 @@ class Digest(Protocol):
     """The digest of what is added to it, as hashlib makes them."""
 
     def update(self, more: bytes, /) -> None:
-        """Add to it."""
+        """Add some bytes to what the digest is of."""
         ...
 
     def digest(self) -> bytes:
-        """What it is by now."""
+        """The digest of what was added so far."""
         ...
 
 
@@ -136,10 +136,10 @@ class SilentLink(NodeLink):
     def __init__(self) -> None: ...
 
     def tell(self, kind: int, place: int = 0, first: int = 0, second: int = 0, payload: bytes = b"") -> None:
-        """Forget the frame."""
+        """Forget the frame, which nobody is to hear."""
 
     def send(self) -> None:
-        """Send nothing."""
+        """Send nothing, for nothing is queued."""
 
 
 class ProxyLink:

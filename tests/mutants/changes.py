@@ -644,7 +644,7 @@ MUTANTS: list[Mutant] = [
         "services/control/curve_follower.py",
         "tests/services/control",
         ("pid: a stop keeps the integral", "            self.state[:] = 0.0\n", ""),
-        ("pid: a skipped waypoint leaves its integral", "        self.state[:] = self._before\n", ""),
+        ("pid: a skipped waypoint leaves its integral", "        self.take_back()\n", ""),
     ),
     *_of(
         "services/control/waypoint_follower.py",
@@ -1351,6 +1351,77 @@ MUTANTS: list[Mutant] = [
         "injector/node.py",
         "tests/injector/test_node.py",
         ("injector: a pid of another host is one of ours", "if one.boot_id == target.boot_id and ", "if "),
+    ),
+    *_of(
+        "detector/schemes/physical.py",
+        "tests/detector/schemes/test_physical.py",
+        (
+            "physical: a drift does not add up",
+            "sums[at] = max(0.0, sums[at] + sign * z - _SLACK)",
+            "sums[at] = max(0.0, sign * z - _SLACK)",
+        ),
+        (
+            "physical: an innovation of one tick is no alarm",
+            "max(score, square / numbers[_SQUARE_LIMIT])",
+            "score",
+        ),
+    ),
+    *_of(
+        "detector/schemes/predictor.py",
+        "tests/detector/schemes/test_predictor.py",
+        (
+            "predictor: one flight more than promised may have an alarm",
+            "rank = math.ceil((flights + 1) * (1.0 - RATE))",
+            "rank = math.ceil((flights + 1) * (1.0 - RATE)) - 1",
+        ),
+        (
+            "predictor: what was alarmed is the predecessor of the next",
+            "        return found\n    if accept:",
+            "        remember(memory, values)\n        return found\n    if accept:",
+        ),
+    ),
+    *_of(
+        "detector/evaluation/outside_schemes.py",
+        "tests/detector/evaluation/test_outside_schemes.py",
+        (
+            "league: a program is not told that a check has no predecessor",
+            "self._fresh.discard(stage)",
+            "pass",
+        ),
+        ("league: half of an answer counts", 'line if line.endswith(b"\\n") else b""', "line"),
+    ),
+    *_of(
+        "services/recovery/reexecution.py",
+        "tests/services/recovery/test_reexecution.py",
+        (
+            "reexecution: what is told beside is not compared",
+            "with self._stage.overheard(heard, in_a_copy=in_a_copy):",
+            "with self._stage.overheard(hashlib.blake2b(), in_a_copy=in_a_copy):",
+        ),
+        (
+            "reexecution: no copy is made",
+            "self._seen[:] = self._make(make, sent, in_a_copy=True)[1]",
+            "os._exit(0)",
+        ),
+    ),
+    *_of(
+        "services/recovery/recovery.py",
+        "tests/services/recovery/test_reexecution.py",
+        (
+            "reexecution: the second run takes no time",
+            "self._stage.now_ns += self._reexecution.took_ns",
+            "pass",
+        ),
+    ),
+    *_of(
+        "services/runtime/node.py",
+        "tests/deploy/mission/test_reexecution.py",
+        ("reexecution: the copy is struck too", "            self._source_fault = None\n", ""),
+    ),
+    *_of(
+        "deploy/mission/silence.py",
+        "tests/deploy/mission/test_silence.py",
+        ("silence: who waits for a copy stands still", "(*pids, *copies)", "pids"),
     ),
     *_of(
         "detector/evaluation/coverage.py",

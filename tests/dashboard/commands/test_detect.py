@@ -1,6 +1,8 @@
 """``zenfi detect``: harmful faults are flown and kept, and schemes are judged on them."""
 
 import json
+import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -67,3 +69,50 @@ def test_bad_input_is_one_clear_line(recorded: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
     assert "no recorded flight" in refusal("detect", "evaluate", tmp_path)
     assert "oracle" in refusal("detect", "evaluate", recorded, "--scheme", "oracle")
+
+
+DOCS = Path(__file__).parents[3] / "docs" / "detection.md"
+
+
+@pytest.fixture(scope="module")
+def sealed(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """What is left of the recorded flights, and what was taken away."""
+    folder = tmp_path_factory.mktemp("sealed")
+    shutil.copytree(recorded, folder / "open")
+    answer = zenfi("detect", "seal", folder / "open", "--output", folder / "sealed")
+    assert answer.returncode == 0, answer.stderr
+    assert answer.stdout.count("1 harmful and 2 golden flights") == 2
+    return folder / "open", folder / "sealed"
+
+
+def test_half_of_the_flights_are_taken_away_and_none_is_lost(
+    recorded: Path, sealed: tuple[Path, Path]
+) -> None:
+    left, taken = ({path.name for path in folder.rglob("*.npz")} for folder in sealed)
+    assert not left & taken
+    assert left | taken == {path.name for path in recorded.rglob("*.npz")}
+
+
+def test_a_program_written_from_the_page_is_ranked(sealed: tuple[Path, Path], tmp_path: Path) -> None:
+    (program,) = re.findall(r"^```python\n(#!.*?)^```$", DOCS.read_text(), re.MULTILINE | re.DOTALL)
+    ewma, page = tmp_path / "ewma", tmp_path / "league.md"
+    ewma.write_text(program)
+    ewma.chmod(0o755)
+    answer = zenfi("detect", "league", ewma, "--data", sealed[1], "--page", page, "--json")
+    assert answer.returncode == 0, answer.stderr
+    told = [json.loads(line) for line in answer.stdout.splitlines()]
+    assert [one["place"] for one in told] == list(range(1, len(told) + 1))
+    assert [one["scheme"] for one in told if one["entry"]] == ["ewma"]
+    caught = [one["budgets"][0]["caught_in_time"] for one in told]
+    assert caught == sorted(caught, reverse=True)
+    assert "# League: ewma among 6 others" in page.read_text()
+    shown = zenfi("detect", "league", ewma, "--data", sealed[1])
+    assert "ewma is number " in shown.stdout
+
+
+def test_what_cannot_be_ranked_or_sealed_is_one_clear_line(sealed: tuple[Path, Path], tmp_path: Path) -> None:
+    assert "oracle" in refusal("detect", "league", "oracle", "--data", sealed[1])
+    assert "pyproject.toml" in refusal("detect", "league", tmp_path, "--data", sealed[1])
+    assert "too few to divide" in refusal("detect", "seal", sealed[1], "--output", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    assert "not empty" in refusal("detect", "seal", sealed[0], "--output", sealed[1])

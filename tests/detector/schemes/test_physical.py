@@ -114,3 +114,12 @@ def test_parameters_of_another_shape_are_refused() -> None:
     for name, value in (("response", [[0.0] * 6] * 2), ("deviation", [0.0] * 6), ("largest_sums", [1.0])):
         with pytest.raises(ValueError, match=name):
             Physical.load({**PARAMETERS, name: value})
+
+
+def test_a_jump_of_all_components_that_none_has_alone_is_seen_at_once() -> None:
+    """Each by five deviations: no sum of one component is that large, all together are."""
+    assert max(5.0 / np.array(PARAMETERS["largest_sums"])) < 0.5
+    rows, parameters = ticks(100), PARAMETERS
+    for state, deviation in zip(STATES, parameters["deviation"], strict=True):
+        rows[200, :, CONTROL[state]] += 5.0 * deviation
+    assert alarmed(rows)[0][0] == 200

@@ -75,7 +75,11 @@ def test_a_command_that_does_not_follow_is_named(parameters: dict[str, object], 
     alarm = detector.check("control", values)
     assert alarm is not None
     assert alarm.state == state
-    assert detector.check("control", ticks[20]) is None  # what was alarmed is no predecessor
+    for off in (2.0, 1e6):
+        values = ticks[20].copy()
+        values[:, CONTROL[state]] += off
+        assert detector.check("control", values) is not None
+        assert detector.check("control", ticks[20]) is None  # what was alarmed is no predecessor
 
 
 def test_what_is_not_finite_is_an_alarm_from_the_first_tick_on(parameters: dict[str, object]) -> None:
