@@ -83,18 +83,18 @@ def compute_share(scheme: str, flights: Sequence[Series]) -> float | None:
     Re-execution takes that of the kernels, the others that of their checks on the flights' platform.
     """
     golden = [one for one in flights if "harm" not in one.about]
+    took_s = [_compute_s(scheme, one) for one in golden]
+    known_s = [one for one in took_s if one is not None]
+    if len(known_s) < len(took_s):
+        return None
+    return sum(known_s) / max(sum(float(one.about["time_s"]) for one in golden), 1e-9)
+
+
+def _compute_s(scheme: str, flight: Series) -> float | None:
     if scheme == REEXECUTION:
-        took_s = sum(float(one.about["kernels_s"]) for one in golden)
-    else:
-        checks = [load_platform(one.spec.platform).detectors.get(scheme) for one in golden]
-        if None in checks:
-            return None
-        took_s = sum(
-            check.mean_ms / 1e3 * sum(map(len, one.checks.values()))
-            for check, one in zip(checks, golden, strict=True)
-            if check is not None
-        )
-    return took_s / max(sum(float(one.about["time_s"]) for one in golden), 1e-9)
+        return float(flight.about["kernels_s"])
+    check = load_platform(flight.spec.platform).detectors.get(scheme)
+    return None if check is None else check.mean_ms / 1e3 * sum(map(len, flight.checks.values()))
 
 
 def lower_bound(found: int, of: int, level: float) -> float:

@@ -16,7 +16,8 @@ import numpy as np
 from numba import njit
 from pydantic import Field
 
-from detector.schemes.base import LIMIT, Alarm, Floats, Lesson, Scheme
+from detector.schemes.base import LIMIT, Floats, Lesson
+from detector.schemes.control_scheme import KNOWN, SCORE, STAGE, ControlScheme
 from detector.schemes.layers import Layer, dense, packed
 from detector.series.changes import changes
 from detector.series.monitored_states import CURVE, DURATION, WATCHED
@@ -32,8 +33,6 @@ INPUTS = (
 """The 13 (facts page, "Monitored inter-kernel states")."""
 
 SIZES = (len(INPUTS), 6, 3, len(INPUTS))
-STAGE = "control"
-
 MARGIN = 1.25
 """Of the threshold over the largest error of the training flights: other flights meet other chances."""
 
@@ -60,35 +59,18 @@ class AutoencoderParameters(Strict):
         return np.concatenate(((self.threshold,), self.scale, packed(self.layers, SIZES)))
 
 
-class Autoencoder(Scheme):
-    """The network at control; it watches no other stage and learns nothing in flight."""
+class Autoencoder(ControlScheme):
+    """The network at control, judged by its reconstruction error; it learns nothing in flight."""
 
     name: ClassVar[str] = "autoencoder"
+    states: ClassVar[tuple[str, ...]] = INPUTS
+    alarmed_row: ClassVar[int] = 0
 
     def __init__(self, parameters: AutoencoderParameters) -> None:
-        self._network = parameters.packed()
-        self._memory = np.zeros(4 + len(INPUTS))
+        super().__init__(parameters.packed(), _BEFORE + len(INPUTS))
 
-    def check(self, stage: str, values: Floats) -> Alarm | None:
-        """Judge one tick of control by its reconstruction error."""
-        if stage != STAGE:
-            return None
-        found = inspect(self._memory, self._network, values, True)
-        if found < 0:
-            return None
-        return Alarm(stage, INPUTS[found], 0, float(self._memory[_SCORE]))
-
-    def score(self, stage: str, values: Floats) -> float:
-        """Reconstruction error over the threshold; 0 for other stages."""
-        if stage != STAGE:
-            return 0.0
-        inspect(self._memory, self._network, values, False)
-        return float(self._memory[_SCORE])
-
-    def reset(self, stage: str) -> None:
-        """Forget the levels of the tick before."""
-        if stage == STAGE:
-            self._memory[_KNOWN] = 0.0
+    def _inspect(self, values: Floats, *, accept: bool) -> int:
+        return int(inspect(self._memory, self._numbers, values, accept))
 
     @classmethod
     def lesson(cls, flight: Series) -> Lesson:
@@ -116,7 +98,8 @@ class Autoencoder(Scheme):
         return cls(AutoencoderParameters.model_validate(parameters))
 
 
-_KNOWN, _CURVE, _SCORE, _WORST = range(4)
+# What is remembered besides: the curve, the input that is reproduced worst, the levels of the tick before.
+_KNOWN, _SCORE, _CURVE, _WORST, _BEFORE = KNOWN, SCORE, 2, 3, 4
 _IN, _HIDDEN, _CODE, _ = SIZES
 _SCALE = 1
 _LAYERS = _SCALE + _IN
@@ -137,12 +120,12 @@ def inspect(memory: Floats, network: Floats, values: Floats, accept: bool) -> in
         if not _COMMANDS[index]:
             change[index] = now[index] - level(bits[0, column], values[0, column], floor, False, 0)
         elif compared:
-            change[index] = now[index] - memory[4 + index]
+            change[index] = now[index] - memory[_BEFORE + index]
     memory[_SCORE] = _error(memory, network, change) / network[0]
     if memory[_SCORE] > LIMIT:
         return int(memory[_WORST])
     if accept:
-        memory[4:] = now
+        memory[_BEFORE:] = now
         memory[_KNOWN], memory[_CURVE] = 1.0, values[1, _CURVE_COLUMN]
     return -1
 
@@ -169,7 +152,7 @@ def _error(memory: Floats, network: Floats, change: Floats) -> float:
 @njit(cache=True)
 def largest_error(network: Floats, rows: Floats) -> float:
     """Over rows (n, 13) of changes."""
-    memory, largest = np.zeros(4), 0.0
+    memory, largest = np.zeros(_BEFORE), 0.0
     for row in rows:
         largest = max(largest, _error(memory, network, row))
     return largest

@@ -22,12 +22,12 @@ import numpy as np
 from numba import njit
 from pydantic import Field
 
-from detector.schemes.base import LIMIT, Alarm, Floats, Lesson, Scheme
+from detector.schemes.base import LIMIT, Floats, Lesson
+from detector.schemes.control_scheme import KNOWN, SCORE, STAGE, ControlScheme
 from detector.series.monitored_states import WATCHED
 from detector.series.series import Series
 from services.models.base import Strict
 
-STAGE = "control"
 STATES = ("odometry.vx", "odometry.vy", "odometry.vz", "odometry.x", "odometry.y", "odometry.z")
 """What the innovation consists of; an alarm names its worst component."""
 
@@ -62,33 +62,17 @@ class PhysicalParameters(Strict):
         return np.concatenate((*limits, self.mean, self.deviation, *self.response))
 
 
-class Physical(Scheme):
-    """Watches the vehicle's response at control; learns nothing in flight."""
+class Physical(ControlScheme):
+    """Watches the vehicle's response at control, by the larger of both sums; learns nothing in flight."""
 
     name: ClassVar[str] = "physical"
+    states: ClassVar[tuple[str, ...]] = STATES
 
     def __init__(self, parameters: PhysicalParameters) -> None:
-        self._numbers = parameters.packed()
-        self._memory = np.zeros(_MEMORY)
+        super().__init__(parameters.packed(), _MEMORY)
 
-    def check(self, stage: str, values: Floats) -> Alarm | None:
-        """Judge what was measured at a tick by the ticks before."""
-        if stage != STAGE:
-            return None
-        found = inspect(self._memory, self._numbers, values[1, _TICK], True)
-        return None if found < 0 else Alarm(stage, STATES[found], 1, float(self._memory[_SCORE]))
-
-    def score(self, stage: str, values: Floats) -> float:
-        """The larger of both sums, in units of its limit; 0 for other stages."""
-        if stage != STAGE:
-            return 0.0
-        inspect(self._memory, self._numbers, values[1, _TICK], False)
-        return float(self._memory[_SCORE])
-
-    def reset(self, stage: str) -> None:
-        """Forget the ticks before, and what has added up."""
-        if stage == STAGE:
-            self._memory[:] = 0.0
+    def _inspect(self, values: Floats, *, accept: bool) -> int:
+        return int(inspect(self._memory, self._numbers, values[1, _TICK], accept))
 
     @classmethod
     def lesson(cls, flight: Series) -> Lesson:
@@ -122,8 +106,8 @@ class Physical(Scheme):
 _TICK = slice(WATCHED[STAGE].index("command.vx"), WATCHED[STAGE].index("odometry.vz") + 1)
 _U, _P, _V = 0, 4, 7
 
-# What is remembered: how many ticks, the score; velocities and commands, the newest first; position, sums.
-_KNOWN, _SCORE, _VELOCITIES = 0, 1, 2
+# What is remembered besides: velocities and commands, the newest first; position, sums.
+_KNOWN, _SCORE, _VELOCITIES = KNOWN, SCORE, 2
 _COMMANDS = _VELOCITIES + 3 * _ORDER
 _LAST_POSITION = _COMMANDS + 3 * _ORDER
 _SUMS = _LAST_POSITION + 3

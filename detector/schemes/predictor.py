@@ -18,13 +18,13 @@ import numpy as np
 from numba import njit
 from pydantic import Field
 
-from detector.schemes.base import LIMIT, Alarm, Floats, Lesson, Scheme
+from detector.schemes.base import LIMIT, Floats, Lesson
+from detector.schemes.control_scheme import KNOWN, SCORE, STAGE, ControlScheme
 from detector.schemes.layers import Layer, dense, packed
-from detector.series.monitored_states import CURVE, DURATION, WATCHED
+from detector.series.monitored_states import DURATION, WATCHED
 from detector.series.series import Series
 from services.models.base import Strict
 
-STAGE = "control"
 OUTPUTS = ("command.vx", "command.vy", "command.vz")
 SIZES = (23, 24, 12, len(OUTPUTS))
 _IN, _FIRST, _SECOND, _OUT = SIZES
@@ -52,33 +52,17 @@ class PredictorParameters(Strict):
         return np.concatenate(((self.threshold,), self.scale, self.deviation, packed(self.layers, SIZES)))
 
 
-class Predictor(Scheme):
-    """The network at control; it watches no other stage and learns nothing in flight."""
+class Predictor(ControlScheme):
+    """The network at control, judged by the error of its worst component; it learns nothing in flight."""
 
     name: ClassVar[str] = "predictor"
+    states: ClassVar[tuple[str, ...]] = OUTPUTS
 
     def __init__(self, parameters: PredictorParameters) -> None:
-        self._numbers = parameters.numbers()
-        self._memory = np.zeros(_MEMORY)
+        super().__init__(parameters.numbers(), _MEMORY)
 
-    def check(self, stage: str, values: Floats) -> Alarm | None:
-        """Judge the command of a tick by what is predicted for it."""
-        if stage != STAGE:
-            return None
-        found = inspect(self._memory, self._numbers, values, True)
-        return None if found < 0 else Alarm(stage, OUTPUTS[found], 1, float(self._memory[_SCORE]))
-
-    def score(self, stage: str, values: Floats) -> float:
-        """The error of the worst component over the threshold; 0 for other stages."""
-        if stage != STAGE:
-            return 0.0
-        inspect(self._memory, self._numbers, values, False)
-        return float(self._memory[_SCORE])
-
-    def reset(self, stage: str) -> None:
-        """Forget the tick before: the next one has no predecessor."""
-        if stage == STAGE:
-            self._memory[_KNOWN] = 0.0
+    def _inspect(self, values: Floats, *, accept: bool) -> int:
+        return int(inspect(self._memory, self._numbers, values, accept))
 
     @classmethod
     def lesson(cls, flight: Series) -> Lesson:
@@ -145,12 +129,12 @@ def conformal_rank(flights: int) -> int:
     return rank
 
 
-_DURATION, _CURVE = (WATCHED[STAGE].index(name) for name in (DURATION, CURVE))
+_DURATION = WATCHED[STAGE].index(DURATION)
 _WAYPOINT, _COMMAND = (WATCHED[STAGE].index(name) for name in ("trajectory.x", "command.vx"))
 _TURN, _MEASURED = (WATCHED[STAGE].index(name) for name in ("command.yaw_rate", "odometry.x"))
 
-# What is remembered: whether there was a tick, the score; its command, its waypoint and since when.
-_KNOWN, _SCORE, _LAST_COMMAND, _LAST_WAYPOINT, _SINCE = 0, 1, 2, 5, 8
+# What is remembered besides: the command of the tick before, its waypoint and since when.
+_KNOWN, _SCORE, _LAST_COMMAND, _LAST_WAYPOINT, _SINCE = KNOWN, SCORE, 2, 5, 8
 _MEMORY = _SINCE + 1
 
 # The numbers of a model.

@@ -54,6 +54,12 @@ def test_schemes_are_compared_at_the_same_false_alarms(recorded: Path, tmp_path:
     assert answer.returncode == 0, answer.stderr
     found = {told["scheme"]: told for told in map(json.loads, answer.stdout.splitlines())}
     assert set(found) >= {"gaussian", "autoencoder", "kinematic"}
+    assert 0.0 < found["autoencoder"]["compute_share"] < 0.42e-4  # the paper's Table V
+    kernels_s, time_s = (
+        sum(one.about[name] for one in load_folder(recorded / "golden")) for name in ("kernels_s", "time_s")
+    )
+    assert found["reexecution"]["compute_share"] == pytest.approx(kernels_s / time_s)
+    assert 0.1 < kernels_s / time_s < 3.0  # three stages, each busy for a part of the time
     for told in found.values():
         assert [one["budget"] for one in told["budgets"]] == ["0.1 a flight", "1 in 100 h"]
         assert {(one["golden_flights"], one["harmful"]) for one in told["budgets"]} == {(2, 2)}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from detector.schemes.autoencoder import INPUTS, SIZES, Autoencoder, AutoencoderParameters, inspect
+from detector.schemes.control_scheme import SCORE
 from detector.schemes.network_training import fit
 from tests.detector.flights import COLUMNS, flight, planned, tracked
 
@@ -60,7 +61,7 @@ def test_the_compiled_network_is_the_one_that_was_trained() -> None:
     inspect(memory, network, np.zeros_like(values), True)
     values[1, COLUMNS["control"]["command.vx"]] = 0.5
     inspect(memory, network, values, False)
-    assert np.isclose(memory[2], expected)
+    assert np.isclose(memory[SCORE], expected)
 
 
 def test_training_repeats() -> None:
