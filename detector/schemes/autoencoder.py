@@ -69,7 +69,7 @@ class Autoencoder(ControlScheme):
     def __init__(self, parameters: AutoencoderParameters) -> None:
         super().__init__(parameters.packed(), _BEFORE + len(INPUTS))
 
-    def _inspect(self, values: Floats, *, accept: bool) -> int:
+    def _inspect(self, values: Floats, accept: bool) -> int:
         return int(inspect(self._memory, self._numbers, values, accept))
 
     @classmethod

@@ -29,7 +29,7 @@ class ControlScheme(Scheme):
         self._memory = np.zeros(remembered)
 
     @abstractmethod
-    def _inspect(self, values: Floats, *, accept: bool) -> int:
+    def _inspect(self, values: Floats, accept: bool) -> int:
         """Judge a tick: the worst state's number, -1 if there is no alarm. The score is left in the memory.
 
         If ``accept``, a tick that passes becomes the predecessor of the next.
@@ -39,7 +39,7 @@ class ControlScheme(Scheme):
         """Judge one tick of control; other stages have no alarm."""
         if stage != STAGE:
             return None
-        found = self._inspect(values, accept=True)
+        found = self._inspect(values, True)
         if found < 0:
             return None
         return Alarm(stage, self.states[found], self.alarmed_row, float(self._memory[SCORE]))
@@ -48,7 +48,7 @@ class ControlScheme(Scheme):
         """The score of one tick of control; 0 for other stages."""
         if stage != STAGE:
             return 0.0
-        self._inspect(values, accept=False)
+        self._inspect(values, False)
         return float(self._memory[SCORE])
 
     def reset(self, stage: str) -> None:

@@ -71,7 +71,7 @@ class Physical(ControlScheme):
     def __init__(self, parameters: PhysicalParameters) -> None:
         super().__init__(parameters.packed(), _MEMORY)
 
-    def _inspect(self, values: Floats, *, accept: bool) -> int:
+    def _inspect(self, values: Floats, accept: bool) -> int:
         return int(inspect(self._memory, self._numbers, values[1, _TICK], accept))
 
     @classmethod

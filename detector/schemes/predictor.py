@@ -61,7 +61,7 @@ class Predictor(ControlScheme):
     def __init__(self, parameters: PredictorParameters) -> None:
         super().__init__(parameters.numbers(), _MEMORY)
 
-    def _inspect(self, values: Floats, *, accept: bool) -> int:
+    def _inspect(self, values: Floats, accept: bool) -> int:
         return int(inspect(self._memory, self._numbers, values, accept))
 
     @classmethod
