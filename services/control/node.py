@@ -14,6 +14,7 @@ from services.bus.proxy_link import NodeLink
 from services.bus.topics import TICK_NS
 from services.control.follower import Follower
 from services.control.following import follower
+from services.control.simple_controller import simple_command
 from services.models.mission import MissionSpec
 from services.runtime.node import Node
 from services.runtime.realtime import join
@@ -62,6 +63,10 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
                 partial(command_message, node),
                 partial(shown, flown, now_s, here),
                 flown.take_back if node.recovery.reexecutes else partial(flown.skip_waypoint, now_s),
+                {
+                    "stop": partial(stopped, flown),
+                    "simple": partial(simple, flown, now_s, here, node.spec.motion.speed_m_s),
+                },
             )
             node.put("command", command)
             node.guards.take(flown.acted)
@@ -71,6 +76,18 @@ def make(node: Node, flown: Follower, now_s: float, here: VehicleState) -> Float
     """The command for the present state."""
     with node.kernel("pid"):
         return flown.command(now_s, here.position, here.velocity, here.yaw, TICK_S)
+
+
+def stopped(flown: Follower) -> Floats:
+    """The command to stop, in the place of one that is not to be trusted."""
+    flown.take_back()
+    return np.zeros(4)
+
+
+def simple(flown: Follower, now_s: float, here: VehicleState, speed_m_s: float) -> Floats:
+    """The backup controller's command to the waypoint, in the place of one that is not to be trusted."""
+    flown.take_back()
+    return simple_command(here.position, flown.tracked(now_s)[1, 1:4], speed_m_s)
 
 
 def shown(flown: Follower, now_s: float, here: VehicleState, command: TwistStamped) -> Floats:

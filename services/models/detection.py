@@ -15,11 +15,21 @@ Scope = Literal["all", "planning_control", "perception", "planning", "control", 
 """The stages that recover: one of them, planning and control, all three (the paper, section V-E), or none."""
 
 
+Fallback = Literal["as_made", "last_good", "stop", "trail", "simple"]
+"""What is published in the place of an output that is still alarmed after the last retry.
+
+``as_made``: the output itself. ``last_good``: the last output that was accepted. ``stop``: what has the
+vehicle stop. ``trail``: a trajectory back along the way that it came. ``simple``: the command of a controller
+that is simple enough to be trusted (run-time assurance, ASTM F3269).
+"""
+
+
 class DetectorSpec(Strict):
     """The specification of one detector in a mission.
 
     With the ``gate`` on, an output is held until its verdict; off, it is published at once and its alarm is
-    recorded. A stage in the scope of ``recovery`` makes an alarmed output again, at most ``retries`` times.
+    recorded. A stage in the scope of ``recovery`` makes an alarmed output again, at most ``retries`` times,
+    and then publishes what the :data:`Fallback` in its name says.
     ``model`` is the content of a model file; where a specification is written, the file's name stands for it.
     """
 
@@ -28,6 +38,9 @@ class DetectorSpec(Strict):
     gate: Literal["on", "off"] = "on"
     recovery: Scope = "all"
     retries: int = Field(default=1, ge=0, le=10, description="of one output")
+    perception: Literal["as_made", "last_good", "stop"] = "as_made"
+    planning: Literal["as_made", "last_good", "stop", "trail"] = "as_made"
+    control: Literal["as_made", "last_good", "stop", "simple"] = "as_made"
     check_us: float | None = Field(
         default=None, ge=0, le=1e6, description="virtual time of a check; default: the platform's"
     )
@@ -38,7 +51,8 @@ class AlarmRecord(Strict):
 
     ``recomputed``: the output was made again before it was published, at control with the next waypoint.
     ``waypoint_dropped``: it had been published, and control went on to the next waypoint. ``published``:
-    nothing, as the gate is off, the stage recovers not, or it was the last of the retries.
+    nothing, as the gate is off, the stage recovers not, or it was the last of the retries. Another word: what
+    was published in its place (:data:`Fallback`).
     """
 
     stage: str
@@ -47,7 +61,7 @@ class AlarmRecord(Strict):
     row: int
     score: float = Field(description="above 1; in units of what is allowed")
     virtual_time_ns: int
-    action: Literal["recomputed", "waypoint_dropped", "published"]
+    action: Literal["recomputed", "waypoint_dropped", "published", "last_good", "stop", "trail", "simple"]
     cost_ns: int = Field(default=0, description="virtual time of the recomputation")
     true: bool = Field(default=False, description="whether a fault had struck that stage or one before it")
 

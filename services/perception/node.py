@@ -72,6 +72,7 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
                 partial(perceive, node, view, flown, occupancy, counter),
                 itemgetter(0),
                 shown_verdict,
+                instead={"stop": partial(imminent, node, flown, counter)},
             )
             node.put("collision_check", check)
 
@@ -83,6 +84,13 @@ class View(NamedTuple):
     depth: NDArray[np.float32]
     pose: VehicleState
     lens: Pinhole
+
+
+def imminent(node: Node, flown: Plan, before: CollisionCounter) -> tuple[Any, CollisionCounter]:
+    """A verdict that has the vehicle stop: it collides at once, on whatever it flies."""
+    counter = copy(before)
+    found = counter.update(flown.trajectory_seq, flown.future_collision_seq, collision=True)
+    return check_message(header(node.now_ns, frames.MAP), flown, found, 0.0), counter
 
 
 def perceive(

@@ -19,6 +19,7 @@ from services.kernels import GOAL_KERNELS
 from services.planning.goals import GoalContext, Goals, goals, warm_up_goals
 from services.planning.pilot import Navigator, PlanRequest, tactics
 from services.planning.planners import PLANNERS, plan
+from services.planning.trail import Trail
 from services.planning.trajectory import HELD_STEP_S, STEP_S, Departure, trajectory
 from services.planning.voxels import VoxelGrid, unpack
 from services.runtime import rng
@@ -26,6 +27,9 @@ from services.runtime.node import Node
 from services.runtime.realtime import join
 from services.runtime.setup import NodeSetup
 from services.system.shared_stats import SharedStats
+
+BACK_M = 10.0
+"""How far back along the trail a vehicle flies."""
 
 
 def warm_up() -> None:
@@ -47,6 +51,7 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
     """Take up the newest verdict whenever free."""
     navigator: Navigator | None = None
     aims: Goals | None = None
+    trail = Trail()
     with join(setup, proxy, stats) as node:
         check, odometry = node.input("collision_check", verdict), node.input("odometry", state)
         octomap, goal = node.input("map", sound_map), node.input("goal", sound_goal)
@@ -56,6 +61,7 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
             found, now, known, aim = check.read(checked), odometry.latest, octomap.latest, goal.latest
             if found is None or now is None or known is None or aim is None:
                 continue
+            trail.add(now.position)
             if aims is None:
                 aims = goals(node.spec.mission, place(aim, task.latest), node.spec.area.swath_m)
             try:
@@ -83,6 +89,7 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
                 partial(make, node, request, grid),
                 partial(announced, node, request),
                 shown_trajectory,
+                instead={"stop": lambda: None, "trail": partial(back, node, request, grid, trail)},
             )
             message.failed = navigator.answer(request, points).failed
             node.put("trajectory", message)
@@ -112,13 +119,22 @@ def make(node: Node, request: PlanRequest, grid: VoxelGrid) -> Floats | None:
     seed = rng.native_seed(node.spec.seed, "planner", request.trajectory_seq)
     with node.kernel(node.spec.planner):
         path = plan(node.spec.planner, grid, request.departure.position, request.goal, seed, request.limit)
-    if path is None:
-        return None
+    return None if path is None else timed(node, request, grid, path)
+
+
+def timed(node: Node, request: PlanRequest, grid: VoxelGrid, path: Floats) -> Floats | None:
+    """The trajectory along a path (n, 3)."""
     with node.kernel("trajectory"):
         motion = node.spec.motion
         limits = motion.speed_m_s, motion.acceleration_m_s2
         step_s = STEP_S if "dense" in node.spec.active_guards else HELD_STEP_S
         return trajectory(path, request.departure, grid, request.limit, *limits, step_s)
+
+
+def back(node: Node, request: PlanRequest, grid: VoxelGrid, trail: Trail) -> Floats | None:
+    """A trajectory back along the way that the vehicle came, or None if it has come none."""
+    path = trail.back(request.departure.position, BACK_M)
+    return None if path is None else timed(node, request, grid, path)
 
 
 def announced(node: Node, request: PlanRequest, points: Floats | None) -> Any:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
 from typing import Any, Literal, Protocol, TypeVar
 
 from services.bus.arrays import Floats
 from services.bus.detector_protocol import DetectorReply, answered, question
 from services.bus.messages import encode
 from services.bus.topics import TOPICS
-from services.models.detection import AlarmRecord, DetectorSpec
+from services.models.detection import AlarmRecord, DetectorSpec, Fallback
 from services.recovery.reexecution import SCHEME, Reexecution, RepeatableStage
 
 SCOPES = {
@@ -21,9 +23,12 @@ SCOPES = {
 }
 """The stages that a scope of recovery names; each other scope is a stage."""
 
-Action = Literal["recomputed", "waypoint_dropped", "published"]
+Action = Literal["recomputed", "waypoint_dropped", "published", "last_good", "stop", "trail", "simple"]
 Again = Callable[[], object]
 Made = TypeVar("Made")
+
+NO_FALLBACKS: Mapping[Fallback, Any] = MappingProxyType({})
+"""Of a stage that publishes its outputs whatever is said of them."""
 
 
 class RecoveringStage(RepeatableStage, Protocol):
@@ -76,6 +81,14 @@ class Recovery:
         self._dead = False
         self._unjudged: dict[str, _Unjudged] = {}
         self._alarmed_before: set[str] = set()
+        self._fallback: Fallback = "as_made"
+        if spec is not None and self._recovers:
+            self._fallback = {
+                "perception": spec.perception,
+                "planning": spec.planning,
+                "control": spec.control,
+            }[stage.name]
+        self._accepted: dict[str, Any] = {}
         self._reexecution = Reexecution(stage) if spec is not None and spec.scheme == SCHEME else None
 
     @property
@@ -90,11 +103,13 @@ class Recovery:
         message: Callable[[Made], Any],
         shown: Callable[[Any], Floats],
         before_again: Again | None = None,
+        instead: Mapping[Fallback, Callable[[], Made]] = NO_FALLBACKS,
     ) -> tuple[Made, Any]:
         """What ``compute`` makes and the ``message`` of it; made again while that is alarmed.
 
-        ``shown`` gives what a detector is shown of a message. The last of the retries is taken whatever is
-        said of it. ``before_again`` comes before each, and, with the gate off, before what follows an alarm.
+        ``shown`` gives what a detector is shown of a message. What is alarmed after the last of the retries
+        is taken all the same, or what ``instead`` makes for the stage's fallback, which nobody judges.
+        ``before_again`` comes before each, and, with the gate off, before what follows an alarm.
         """
         make = self._maker(topic, compute, message)
         if topic in self._alarmed_before and before_again is not None:
@@ -109,6 +124,7 @@ class Recovery:
         for _ in range(self._spec.retries if self._recovers else 0):
             found = self._gated(topic, shown(sent))
             if found is None:
+                self._accepted[topic] = made
                 return made, sent
             alarmed_ns = self._stage.now_ns
             if before_again is not None:
@@ -118,10 +134,27 @@ class Recovery:
             self._stage.count("recomputed")
             self._tell(topic, found, "recomputed", alarmed_ns)
         found = self._gated(topic, shown(sent))
-        if found is not None:
-            self._tell(topic, found, "published", self._stage.now_ns)
-            self._fresh = True
+        if found is None:
+            self._accepted[topic] = made
+            return made, sent
+        alarmed_ns = self._stage.now_ns
+        action, make_instead = self._fallback_of(topic, instead)
+        if make_instead is not None:
+            made = make_instead()
+            sent = message(made)
+        self._tell(topic, found, action, alarmed_ns)
+        self._fresh = True
         return made, sent
+
+    def _fallback_of(
+        self, topic: str, instead: Mapping[Fallback, Callable[[], Made]]
+    ) -> tuple[Action, Callable[[], Made] | None]:
+        """How what is published in the place of an alarmed output is made; None: it is published itself."""
+        if self._fallback == "last_good" and topic in self._accepted:
+            return self._fallback, partial(self._accepted.__getitem__, topic)
+        if self._fallback != "as_made" and self._fallback in instead:
+            return self._fallback, instead[self._fallback]
+        return "published", None
 
     def _maker(
         self, topic: str, compute: Callable[[], Made], message: Callable[[Made], Any]

@@ -120,6 +120,59 @@ def test_a_scope_names_the_stages_that_recover(scope: str, recovering: set[str])
     assert found == recovering
 
 
+ALARMED = 2
+
+
+@pytest.mark.parametrize(
+    ("fallback", "published", "action"),
+    [
+        ("as_made", 2, "published"),
+        ("last_good", 0, "last_good"),
+        ("stop", -7, "stop"),
+        ("simple", -8, "simple"),
+    ],
+)
+@pytest.mark.parametrize("retries", [0, 1])
+def test_what_stays_alarmed_is_replaced(fallback: str, published: int, action: str, retries: int) -> None:
+    spec = DetectorSpec.model_validate({"scheme": "any", "retries": retries, "control": fallback})
+    stage = Control(0)
+    recovery = Recovery(stage, spec)
+
+    def publish() -> int:
+        made, sent = recovery.sound(
+            "command", stage.compute, str, shown, stage.skip, {"stop": lambda: -7, "simple": lambda: -8}
+        )
+        assert sent == str(made)
+        return made
+
+    assert publish() == 0
+    stage.wrong = 3
+    stage.made = ALARMED - 1 - retries
+    assert publish() == published
+    assert stage.told[-1].action == action
+    assert stage.counted["recomputed"] == retries
+    stage.wrong = 0
+    assert publish() == ALARMED + 1
+
+
+def test_what_was_alarmed_is_never_the_last_good_one() -> None:
+    stage = Control(99)
+    recovery = Recovery(stage, DetectorSpec(scheme="any", retries=0, control="last_good"))
+    assert output(stage, recovery) == 0
+    assert output(stage, recovery) == 1
+    assert [one.action for one in stage.told] == ["published", "published"]
+
+
+def test_a_stage_that_does_not_recover_has_no_fallback() -> None:
+    stage = Control(99)
+    recovery = Recovery(stage, DetectorSpec(scheme="any", recovery="planning", control="last_good"))
+    stage.wrong = 0
+    assert output(stage, recovery) == 0
+    stage.wrong = 99
+    assert output(stage, recovery) == 1
+    assert [one.action for one in stage.told] == ["published"]
+
+
 def test_with_the_gate_off_an_output_is_not_held_and_its_alarm_acts_on_the_next() -> None:
     stage = Control(1)
     recovery = Recovery(stage, DetectorSpec(scheme="any", gate="off"))
