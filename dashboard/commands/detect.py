@@ -55,13 +55,22 @@ def detect() -> None:
     show_default=True,
     help="Flights of the same missions without a fault, with other seeds.",
 )
-def record(collection: Path, output: Path, golden: int) -> None:
+@click.option(
+    "--part",
+    default="1/1",
+    show_default=True,
+    metavar="K/N",
+    help="Fly each N-th flight from the K-th on only, so that N such commands share the work.",
+)
+def record(collection: Path, output: Path, golden: int, part: str) -> None:
     """Fly a collection of `zenfi harm collect` and keep what detectors see.
 
     Flights that DIR has already are not flown again.
     """
-    faults = read_collection(collection)
-    if not faults:
+    share = _share(part)
+    collected = read_collection(collection)
+    faults = collected[share]
+    if not collected:
         message = f"{collection}: no harmful fault; zenfi harm collect LABEL --output {collection} makes one"
         raise BadSpecError(message)
     for name in (HARMFUL, GOLDEN):
@@ -77,7 +86,7 @@ def record(collection: Path, output: Path, golden: int) -> None:
                 differing += 1
             else:
                 Series(flight.checks, {**flight.about, "harm": report_of(fault).model_dump()}).save(path)
-        missions = list(golden_missions([one.outcome for one in faults], golden))
+        missions = list(golden_missions([one.outcome for one in collected], golden))[share]
         for mission in track(missions, "golden", console=messages):
             path = output / GOLDEN / _file_of(mission)
             if not path.exists():
@@ -85,6 +94,15 @@ def record(collection: Path, output: Path, golden: int) -> None:
     if differing:
         message = f"{collection}: {differing} of {len(faults)} flights do not repeat here and were left out"
         raise BadSpecError(message)
+
+
+def _share(part: str) -> slice:
+    """The flights of the part ``K/N``."""
+    number, _, count = part.partition("/")
+    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        message = f"--part {part}: expected K/N, like 1/2"
+        raise BadSpecError(message)
+    return slice(int(number) - 1, None, int(count))
 
 
 def _file_of(mission: MissionSpec) -> str:

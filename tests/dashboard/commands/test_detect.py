@@ -14,8 +14,9 @@ from tests.dashboard.command import refusal, zenfi
 @pytest.fixture(scope="module")
 def recorded(collected: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recorded")
-    answer = zenfi("detect", "record", collected[1], "--output", folder, "--golden", 4)
-    assert answer.returncode == 0, answer.stderr
+    for part in ("1/2", "2/2"):
+        answer = zenfi("detect", "record", collected[1], "--output", folder, "--golden", 4, "--part", part)
+        assert answer.returncode == 0, answer.stderr
     return folder
 
 
@@ -72,6 +73,9 @@ def test_schemes_are_compared_at_the_same_false_alarms(recorded: Path, tmp_path:
 
 def test_bad_input_is_one_clear_line(recorded: Path, tmp_path: Path) -> None:
     assert "makes one" in refusal("detect", "record", tmp_path / "absent", "--output", tmp_path / "out")
+    for part in ("0/2", "3/2", "2", "a/b", "1/2/3"):
+        said = refusal("detect", "record", tmp_path / "any", "--output", tmp_path / "out", "--part", part)
+        assert f"--part {part}" in said
     assert not (tmp_path / "out").exists()
     assert "no recorded flight" in refusal("detect", "evaluate", tmp_path)
     assert "oracle" in refusal("detect", "evaluate", recorded, "--scheme", "oracle")
