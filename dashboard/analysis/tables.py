@@ -194,7 +194,7 @@ def effects(summary: Sequence[CellSummary]) -> Table | None:
     table = Table(
         title="what detectors made of the faults",
         caption="unaffected: every message as the golden twin's. missed: messages differ, no alarm. "
-        "caught: an alarm. recovered: caught, recomputed, nearer the twin than without a detector.",
+        "caught: an alarm. recovered: caught, something was done, nearer the twin than without a detector.",
         box=None,
         padding=(0, 1, 0, 0),
     )

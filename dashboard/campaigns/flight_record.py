@@ -15,8 +15,9 @@ class Result:
 
     ``node`` is the node aimed at and ``node_result`` what became of it; empty in a flight without a fault.
     ``alarms`` counts the detector's after the fault, None without a detector, and ``recomputed`` those of
-    them after which an output was made again. ``harm`` names what harmed the flight beside its twin, and
-    ``harmed_at_s`` says when it began; empty if nothing did, None where it is not known or has no twin.
+    them about which something was done: an output was made again, dropped or replaced. ``harm`` names what
+    harmed the flight beside its twin, and ``harmed_at_s`` says when it began; empty if nothing did, None
+    where it is not known or has no twin.
     ``proof`` is by what the outcome was proven, empty if it was flown.
     """
 
@@ -71,7 +72,7 @@ class Result:
             twin_energy_kj=twin.qof.energy_kj if twin is not None else None,
             twin_digest=twin.digest if twin is not None else "",
             alarms=len(alarms) if alarms is not None else None,
-            recomputed=sum(one.action == "recomputed" for one in alarms or ()),
+            recomputed=sum(one.action != "published" for one in alarms or ()),
             harm=" ".join(kinds(outcome.harm)) if outcome.harm is not None else None,
             harmed_at_s=harmed_ns / 1e9 if harmed_ns is not None else None,
             proof=outcome.proof.by if outcome.proof is not None else "",

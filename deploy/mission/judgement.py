@@ -1,7 +1,8 @@
-"""Judges a flight by its properties and beside its golden twin: robustness, and what harmed it."""
+"""Judges a flight by its properties and beside its golden twin: robustness, harm, what recovery did."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deploy.errors import InfrastructureError
+from services.models.detection import DetectionReport, RecoveryReport
 from services.models.mission import MissionSpec
 from services.models.oracles.harm import HarmEvent
 from services.models.oracles.properties import PropertyResult, evaluate, parse
@@ -66,6 +68,24 @@ def judge_harm(flight: Outcome, twin: Outcome, end_ns: int) -> list[HarmEvent]:
         if one.property in kept and not one.holds
     ]
     return sorted(found, key=lambda event: event.at_ns)
+
+
+def judge_recovery(found: DetectionReport | None, path: TruePath, twin: TruePath) -> DetectionReport | None:
+    """The report of a flight's detector, with what recovery did and the flight's offset from its twin."""
+    if found is None or not len(path.time_s) or not len(twin.time_s):
+        return found
+    acted = [one for one in found.alarms if one.true and one.action != "published"]
+    if not acted:
+        return found
+    begun = np.searchsorted(path.time_s, acted[0].virtual_time_ns / 1e9, side="right") - 1
+    offsets = distance_to_path(path.position[[max(int(begun), 0), -1]], twin.position)
+    report = RecoveryReport(
+        actions=Counter(one.action for one in acted),
+        cost_ns=sum(one.cost_ns for one in acted),
+        offset_m=float(offsets[0]),
+        end_offset_m=float(offsets[1]),
+    )
+    return found.model_copy(update={"recovery": report})
 
 
 def distance_to_path(points: Floats, path: Floats) -> Floats:

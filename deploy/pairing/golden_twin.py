@@ -17,7 +17,7 @@ import numpy as np
 from deploy.errors import DisturbedFlightError
 from deploy.mission.flight import FlownMission, Watch, fly
 from deploy.mission.fork_server import ForkServer
-from deploy.mission.judgement import judge_harm, judge_properties
+from deploy.mission.judgement import judge_harm, judge_properties, judge_recovery
 from deploy.pairing.idle_guards import IdleGuards
 from deploy.pairing.proofs import FlightProofs, as_twin, can_be_proven, has_proofs, may_stand_for_others
 from deploy.recording.live_feed import LiveFeed
@@ -258,6 +258,7 @@ def compare(flight: FlownMission, twin: FlownMission) -> Outcome:
                 guards=tuple(name for name in numbered(golden.acting_guards) if name in golden.acting_guards),
             ),
             "propagation": passed_on,
+            "detection": judge_recovery(outcome.detection, flight.true_path, twin.true_path),
             "harm": judge_harm(outcome, golden, flight.end_ns),
         }
     )

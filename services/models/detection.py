@@ -46,6 +46,10 @@ class DetectorSpec(Strict):
     )
 
 
+Action = Literal["recomputed", "waypoint_dropped", "published", "last_good", "stop", "trail", "simple"]
+"""What was done about an alarm."""
+
+
 class AlarmRecord(Strict):
     """One alarm, and what the stage did about it.
 
@@ -61,9 +65,27 @@ class AlarmRecord(Strict):
     row: int
     score: float = Field(description="above 1; in units of what is allowed")
     virtual_time_ns: int
-    action: Literal["recomputed", "waypoint_dropped", "published", "last_good", "stop", "trail", "simple"]
+    action: Action
     cost_ns: int = Field(default=0, description="virtual time of the recomputation")
     true: bool = Field(default=False, description="whether a fault had struck that stage or one before it")
+
+
+class RecoveryReport(Strict):
+    """What was tried after alarms of a fault, what it cost, whether the flight came nearer its golden twin.
+
+    An offset is the distance in m from the twin's whole path: ``offset_m`` at the first of the actions,
+    ``end_offset_m`` at the mission's end.
+    """
+
+    actions: dict[Action, int] = Field(description="how often each was taken after a true alarm")
+    cost_ns: int = Field(description="virtual time of what was made again")
+    offset_m: float
+    end_offset_m: float
+
+    @property
+    def came_nearer(self) -> bool:
+        """Whether the flight ended nearer its twin's path than it was when recovery began."""
+        return self.end_offset_m < self.offset_m
 
 
 class DetectionReport(Strict):
@@ -74,3 +96,6 @@ class DetectionReport(Strict):
     detection_share: float
     recomputation_share: float
     ungated: int = Field(description="outputs without a verdict: the detector had died")
+    recovery: RecoveryReport | None = Field(
+        default=None, description="beside the golden twin; none: nothing was done after a true alarm"
+    )

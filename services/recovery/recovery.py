@@ -13,7 +13,7 @@ from services.bus.arrays import Floats
 from services.bus.detector_protocol import DetectorReply, answered, question
 from services.bus.messages import encode
 from services.bus.topics import TOPICS
-from services.models.detection import AlarmRecord, DetectorSpec, Fallback
+from services.models.detection import Action, AlarmRecord, DetectorSpec, Fallback
 from services.recovery.reexecution import SCHEME, Reexecution, RepeatableStage
 
 SCOPES = {
@@ -23,7 +23,6 @@ SCOPES = {
 }
 """The stages that a scope of recovery names; each other scope is a stage."""
 
-Action = Literal["recomputed", "waypoint_dropped", "published", "last_good", "stop", "trail", "simple"]
 Again = Callable[[], object]
 Made = TypeVar("Made")
 

@@ -30,6 +30,9 @@ GATE_SIGNAL = signal.SIGURG
 OUTSIDE, WITHIN = 0, 1
 """The first of the numbers that describe a call: whether it is under way."""
 
+MOST_CALLS = 8
+"""A node calls a kernel less often than that for one output."""
+
 MARKS = 4
 """Numbers that describe a call: whether it is under way, its invocation, its beginning and its end, ns."""
 
@@ -58,6 +61,8 @@ class KernelTimer:
         recurs = fault is not None and fault.recurs_in_instructions
         self._fault = None if recurs else fault
         self._marked = MarkedCalls(fault) if fault is not None and recurs else None
+        self.armed_calls = 0
+        """How many calls the injector was told of."""
         self._latencies: Mapping[str, Latency] = {
             kernel: Latency(stated, setup.spec.seed, kernel, setup.life)
             for kernel, stated in setup.latencies.items()
@@ -94,6 +99,16 @@ class KernelTimer:
             self._gate("leave", kernel, invocation, node.now_ns)
         node.now_ns = end_ns
 
+    def may_be_struck(self, now_ns: int) -> bool:
+        """Whether the fault may strike one of the next ``MOST_CALLS`` calls of a kernel, now or later."""
+        if self._marked is not None:
+            return self._marked.target in self._kernels and now_ns < self._marked.until_ns
+        fault, page = self._fault, self._page
+        if fault is None or fault.level != "instruction" or fault.target not in self._kernels:
+            return False
+        calls = page["invocations"][self._kernels.index(fault.target)]
+        return bool(page["armed_from_ns"] >= 0 or calls <= page["armed_invocation"] < calls + MOST_CALLS)
+
     def become_copy(self, proxy: NodeLink, page: np.void) -> None:
         """Count on another page from now on, and stand at no gate: this is a fork of the node."""
         self._proxy, self._page = proxy, page
@@ -116,12 +131,14 @@ class KernelTimer:
         if not (page["armed_invocation"] == invocation or 0 <= page["armed_from_ns"] <= now_ns):
             return False
         self._fault = None
+        self.armed_calls += 1
         return True
 
     def _mark(self, kernel: str, invocation: int, now_ns: int, end_ns: int) -> AbstractContextManager[None]:
         """Tell the injector of the call if the fault strikes it and others."""
         if self._marked is None or not self._marked.include(kernel, now_ns):
             return nullcontext()
+        self.armed_calls += 1
         return self._marked.call(
             invocation, now_ns, end_ns, lambda more: self._gate("enter", kernel, invocation, now_ns, more)
         )
@@ -156,15 +173,15 @@ class MarkedCalls:
     """
 
     def __init__(self, fault: FaultSpec) -> None:
-        self._target = fault.target
+        self.target = fault.target
         self._from_ns = fault.from_s * 1e9
-        self._until_ns = math.inf if fault.until_s is None else fault.until_s * 1e9
+        self.until_ns = math.inf if fault.until_s is None else fault.until_s * 1e9
         self._marks = np.zeros(MARKS, np.int64)
         self._traced = False
 
     def include(self, kernel: str, now_ns: int) -> bool:
         """Whether a call that begins now is one of them."""
-        return kernel == self._target and self._from_ns <= now_ns < self._until_ns
+        return kernel == self.target and self._from_ns <= now_ns < self.until_ns
 
     @contextmanager
     def call(

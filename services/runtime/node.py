@@ -65,6 +65,7 @@ class Node:
             else None
         )
         self._corrupted: Any = None
+        self._struck_messages = 0
         self.recovery = Recovery(self, setup.spec.detector)
         self._inputs: dict[str, Input] = {}
         self._added = added_guards(setup.spec.active_guards, self.name)
@@ -120,7 +121,21 @@ class Node:
             return
         self._corrupted = message
         for record in fault.strike(message, self._published[topic], self.now_ns):
+            self._struck_messages += 1
             self._tell("injection", Injection(record=record.model_dump_json(by_alias=True)))
+
+    @property
+    def may_be_struck(self) -> bool:
+        """Whether the mission's fault may strike the output that the node makes next."""
+        fault = self._source_fault
+        if fault is not None and fault.topic in self._published:
+            return fault.may_strike(self._published[fault.topic], self.now_ns)
+        return self.timer.may_be_struck(self.now_ns)
+
+    @property
+    def strikes(self) -> int:
+        """How many kernel calls and messages of this node the fault was let at."""
+        return self.timer.armed_calls + self._struck_messages
 
     def tell_alarm(self, record: AlarmRecord) -> None:
         """Send an alarm to the recorder.

@@ -31,6 +31,15 @@ class SourceFault:
         self._upsets = _upsets(fault, mission_seed, start_ns) if fault.rate_hz is not None else iter(())
         self._next_upset_ns = next(self._upsets, math.inf)
 
+    def may_strike(self, number: int, now_ns: int) -> bool:
+        """Whether it may strike the ``number``-th message of its topic, which is made from ``now_ns`` on."""
+        fault, trigger = self._fault, self._fault.trigger
+        if fault.recurrence != "once":
+            return fault.until_s is None or now_ns < fault.until_s * 1e9
+        if self._done or trigger is None:
+            return False
+        return trigger.invocation in (None, number)
+
     def strike(self, message: Any, number: int, now_ns: int) -> list[InjectionRecord]:
         """Corrupt ``message``, the ``number``-th of its topic, as often as it is due: what was done then."""
         trigger = self._fault.trigger

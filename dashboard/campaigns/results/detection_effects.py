@@ -2,7 +2,8 @@
 
 *unaffected*: every message of the flight is its golden twin's, and there was no alarm. *missed*: messages
 differ and no alarm came after the fault. *caught*: an alarm did. *recovered*: caught, an output was made
-again, and the flight is nearer its twin (:func:`deviation`) than the same fault's flight without a detector.
+again or replaced, and the flight is nearer its twin (by :func:`_deviation`) than the same fault's flight
+without a detector.
 """
 
 from __future__ import annotations

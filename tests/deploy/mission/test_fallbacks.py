@@ -1,59 +1,73 @@
-"""What is flown in the place of outputs that stay alarmed."""
+"""What is flown in the place of outputs that stay alarmed: re-execution finds them, and makes none again."""
 
 import pytest
 
 from deploy.mission.fork_server import ForkServer
 from deploy.pairing.golden_twin import PairFlyer
-from services.models.faults.specification import FaultSpec
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import MissionSpec
 from services.models.outcome import Outcome
 
-REVERSED = {"level": "source", "recurrence": "permanent", "bit_numbers": (63,), "components": "all"}
+WRONG_PRODUCTS = FaultSpec(
+    target="pid", recurrence="permanent", opcodes=("vmulsd",), field="exponent", from_s=2.0
+)
+"""The controller's products are wrong from 2 s on."""
 
 
-def flown(server: ForkServer, target: str, **detector: object) -> Outcome:
-    spec = MissionSpec.model_validate(
-        {
-            "seed": 7,
-            "limits": {"mission_time_s": 45.0},
-            "fault": FaultSpec(target=target, **REVERSED),
-            "detector": {"scheme": "reexecution", "retries": 0, **detector},
-        }
-    )
-    return PairFlyer(server).fly(spec)
+def mirrored(target: str, message: int) -> FaultSpec:
+    """The signs of a vector or a number are wrong in one message."""
+    at = Trigger(invocation=message)
+    return FaultSpec(level="source", target=target, bit_numbers=(63,), components="all", trigger=at)
 
 
-def actions(outcome: Outcome, stage: str) -> set[str]:
+def flown(
+    server: ForkServer, fault: FaultSpec, world: str = "sparse", limit_s: float = 45.0, **detector: str
+) -> Outcome:
+    spec = {"seed": 7, "world": world, "limits": {"mission_time_s": limit_s}, "fault": fault}
+    judged = {"scheme": "reexecution", "retries": 0, **detector}
+    return PairFlyer(server).fly(MissionSpec.model_validate({**spec, "detector": judged}))
+
+
+def done(outcome: Outcome) -> dict[str, int]:
+    """What was done about alarms, how often."""
     assert outcome.detection is not None
-    return {alarm.action for alarm in outcome.detection.alarms if alarm.stage == stage}
+    assert {alarm.true for alarm in outcome.detection.alarms} == {True}
+    report = outcome.detection.recovery
+    return dict(report.actions.items()) if report is not None else {}
 
 
-def test_a_mission_whose_commands_are_all_reversed_succeeds_by_the_simple_controller(
+def test_a_vehicle_whose_controller_fails_collides_flies_on_by_the_simple_one_or_stands(
     server: ForkServer,
 ) -> None:
-    lost = flown(server, "command.velocity", recovery="off")
-    assert not lost.qof.success
-    outcome = flown(server, "command.velocity", control="simple")
-    assert actions(outcome, "control") == {"simple"}
+    ways = {"off": {"recovery": "off"}, "simple": {"control": "simple"}, "stop": {"control": "stop"}}
+    found = {way: flown(server, WRONG_PRODUCTS, limit_s=6.0, **detector) for way, detector in ways.items()}
+    assert {way: one.result for way, one in found.items()} == {
+        "off": "collision",
+        "simple": "timeout",
+        "stop": "timeout",
+    }
+    assert {way: set(done(one)) for way, one in found.items()} == {
+        "off": set(),
+        "simple": {"simple"},
+        "stop": {"stop"},
+    }
+    metres = {way: one.qof.distance_m for way, one in found.items()}
+    assert metres["simple"] > metres["stop"] + 3.0
+
+
+@pytest.mark.parametrize("fallback", ["trail", "last_good", "stop"])
+def test_in_the_place_of_a_wrong_plan_the_vehicle_flies_back_or_on_or_stops(
+    fallback: str, server: ForkServer
+) -> None:
+    outcome = flown(server, mirrored("trajectory.position", 1), "dense", planning=fallback)
+    assert done(outcome) == {fallback: 1}
     assert outcome.result == "success"
-    assert flown(server, "command.velocity", control="simple").digest == outcome.digest
+    assert outcome.golden is not None
+    assert (outcome.qof.distance_m > outcome.golden.qof.distance_m + 5.0) == (fallback == "trail")
 
 
-@pytest.mark.parametrize("fallback", ["stop", "last_good"])
-def test_a_vehicle_whose_commands_are_not_flown_stands_or_goes_on(fallback: str, server: ForkServer) -> None:
-    outcome = flown(server, "command.velocity", control=fallback)
-    assert fallback in actions(outcome, "control")
-    assert (outcome.qof.distance_m < 0.5) == (fallback == "stop")
-
-
-def test_plans_that_are_wrong_lead_back_along_the_trail_and_into_nothing(server: ForkServer) -> None:
-    outcome = flown(server, "trajectory.position", planning="trail")
-    assert "trail" in actions(outcome, "planning")
-    assert outcome.qof.min_clearance_m > 0.0
-    assert outcome.result != "collision"
-
-
-def test_a_verdict_that_is_wrong_has_the_vehicle_stop(server: ForkServer) -> None:
-    outcome = flown(server, "collision_check.time_to_collision", perception="stop", planning="stop")
-    assert actions(outcome, "perception") == {"stop"}
-    assert outcome.result != "collision"
+def test_in_the_place_of_a_wrong_verdict_comes_one_that_has_the_vehicle_stop(server: ForkServer) -> None:
+    outcome = flown(server, mirrored("collision_check.time_to_collision", 30), perception="stop")
+    assert done(outcome) == {"stop": 1}
+    assert outcome.golden is not None
+    assert outcome.qof.replans == outcome.golden.qof.replans + 1

@@ -34,6 +34,14 @@ def test_a_golden_flight_is_what_it_is_without_and_nothing_differs(pilot: str, s
     assert seen.about["spec"]["detector"] is None
 
 
+@pytest.mark.parametrize("target", ["collision_check.time_to_collision", "trajectory.x", "command.vx"])
+def test_copies_that_are_made_for_a_fault_to_come_make_the_same(target: str, server: ForkServer) -> None:
+    late = {"recurrence": "intermittent", "probability": 0.5, "from_s": 3600.0}
+    seen, digest = watched(mission(fault=FaultSpec(level="source", target=target, **late)), server)
+    assert digest == fly(mission(), server).outcome.digest
+    assert seen.about["differed_s"] == []
+
+
 @pytest.mark.parametrize(
     ("target", "stage"),
     [

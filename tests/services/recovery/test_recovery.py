@@ -20,6 +20,8 @@ class Control:
     """A stage of which the numbers below ``wrong`` are alarmed; the detector dies after ``answers``."""
 
     name = "control"
+    may_be_struck = False
+    strikes = 0
 
     def __init__(self, wrong: float, answers: int = 1_000_000) -> None:
         self.now_ns = 0

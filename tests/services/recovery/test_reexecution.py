@@ -33,6 +33,7 @@ class Adder:
         self.alarms: list[AlarmRecord] = []
         self.counted: Counter[str] = Counter()
         self.in_a_copy = False
+        self.may_be_struck = True
         self._digest: Digest | None = None
 
     @contextmanager
@@ -40,6 +41,10 @@ class Adder:
         self.in_a_copy, self._digest = in_a_copy, digest
         yield
         self._digest = None
+
+    @property
+    def strikes(self) -> int:
+        return sum(number <= self.made for number in (*self.struck, *self.told_struck))
 
     def tell(self, payload: bytes) -> None:
         if self._digest is not None:
@@ -125,6 +130,28 @@ def test_one_that_the_copy_did_not_finish_differs(capfd: pytest.CaptureFixture[s
         found.append(twice.differed)
     assert found == [True, False]
     assert capfd.readouterr() == ("", "")
+
+
+def test_where_no_fault_can_strike_no_copy_makes_it_first(capfd: pytest.CaptureFixture[str]) -> None:
+    stage = Adder()
+    twice = Reexecution(stage)
+
+    def make() -> int:
+        os.write(1, b"made ")
+        return stage.add()
+
+    for stage.may_be_struck in (True, False):
+        twice.make(make, payload)
+        assert (twice.took_ns, twice.differed) == (MAKE_NS, False)
+        os.write(1, b". ")
+    assert capfd.readouterr().out == "made made . made . "
+
+
+def test_a_fault_that_strikes_where_it_was_not_to_is_an_error() -> None:
+    stage = Adder(struck=(1,))
+    stage.may_be_struck = False
+    with pytest.raises(RuntimeError, match="let at an output of which there is no copy"):
+        Reexecution(stage).make(stage.add, payload)
 
 
 def test_no_copy_is_left() -> None:
