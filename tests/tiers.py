@@ -59,6 +59,7 @@ UNIT = (
     "tests/services/planning/test_voxels.py",
     "tests/services/recovery/test_recovery.py",
     "tests/services/runtime/test_clock.py",
+    "tests/services/runtime/test_kernel_timer.py",
     "tests/services/runtime/test_latency.py",
     "tests/services/runtime/test_source_fault.py",
     "tests/sim/mission",

@@ -1414,6 +1414,76 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "services/recovery/reexecution.py",
+        "tests/services/recovery/test_reexecution.py",
+        (
+            "reexecution: a strike without a copy is silent",
+            "if self._stage.strikes != strikes:",
+            "if self._stage.strikes < strikes:",
+        ),
+        ("reexecution: a copy is always made", "if not self._stage.may_be_struck:", "if False:"),
+    ),
+    *_of(
+        "services/runtime/kernel_timer.py",
+        "tests/services/runtime/test_kernel_timer.py",
+        (
+            "reexecution: no copy of the very call that is struck",
+            'calls <= page["armed_invocation"]',
+            'calls < page["armed_invocation"]',
+        ),
+        (
+            "reexecution: a fault that recurs may always strike",
+            "and now_ns < self._marked.until_ns",
+            "",
+        ),
+    ),
+    *_of(
+        "services/runtime/source_fault.py",
+        "tests/services/runtime/test_source_fault.py",
+        ("reexecution: no copy for a fault that waits", "in (None, number)", "in (number,)"),
+        ("reexecution: copies after the strike", "if self._done or trigger is None:", "if trigger is None:"),
+    ),
+    *_of(
+        "services/recovery/recovery.py",
+        "tests/services/recovery/test_recovery.py",
+        (
+            "fallback: one of a stage that does not recover",
+            "if spec is not None and self._recovers:",
+            "if spec is not None:",
+        ),
+        (
+            "fallback: the last good output is the first",
+            "                self._accepted[topic] = made\n                return made, sent",
+            "                self._accepted.setdefault(topic, made)\n                return made, sent",
+        ),
+    ),
+    *_of(
+        "services/control/simple_controller.py",
+        "tests/services/control/test_simple_controller.py",
+        (
+            "fallback: the simple controller is as fast as it likes",
+            "min(GAIN_1_S, speed_m_s / max(float(distance), 1e-9))",
+            "GAIN_1_S",
+        ),
+        ("fallback: the simple controller flies to nowhere", "if np.isfinite(distance):", "if True:"),
+    ),
+    *_of(
+        "services/planning/trail.py",
+        "tests/services/planning/test_trail.py",
+        ("fallback: the trail is flown from its beginning", "in reversed(self._places)", "in self._places"),
+        ("fallback: the trail has no end", "if step_m > left_m:", "if False:"),
+    ),
+    *_of(
+        "deploy/mission/judgement.py",
+        "tests/deploy/mission/test_recovery_report.py",
+        ("recovery: false alarms count", "if one.true and one.action", "if one.action"),
+        (
+            "recovery: the offset is that of the beginning",
+            "path.position[[max(int(begun), 0), -1]]",
+            "path.position[[0, -1]]",
+        ),
+    ),
+    *_of(
         "services/runtime/node.py",
         "tests/deploy/mission/test_reexecution.py",
         ("reexecution: the copy is struck too", "            self._source_fault = None\n", ""),

@@ -165,6 +165,15 @@ def test_what_was_alarmed_is_never_the_last_good_one() -> None:
     assert [one.action for one in stage.told] == ["published", "published"]
 
 
+@pytest.mark.parametrize("retries", [0, 1])
+def test_the_last_good_output_is_the_newest_that_was_accepted(retries: int) -> None:
+    stage = Control(0)
+    recovery = Recovery(stage, DetectorSpec(scheme="any", retries=retries, control="last_good"))
+    assert [output(stage, recovery) for _ in range(3)] == [0, 1, 2]
+    stage.wrong = 99
+    assert [output(stage, recovery) for _ in range(2)] == [2, 2]
+
+
 def test_a_stage_that_does_not_recover_has_no_fallback() -> None:
     stage = Control(99)
     recovery = Recovery(stage, DetectorSpec(scheme="any", recovery="planning", control="last_good"))

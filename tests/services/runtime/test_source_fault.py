@@ -175,3 +175,18 @@ def test_a_stage_that_comes_back_is_not_struck_by_what_it_missed() -> None:
     late = SourceFault(spec, mission_seed=1, start_ns=250 * TICK_NS)
     after = [n for n in range(250, 500) for _ in late.strike(commanded(), n, n * TICK_NS)]
     assert after == [number for number in before if number > 250]
+
+
+def test_it_may_strike_the_message_that_it_names_until_it_has() -> None:
+    struck = fault("command.vx")
+    assert [struck.may_strike(number, 0) for number in range(4)] == [False, False, True, False]
+    struck.strike(commanded(), 2, 0)
+    assert not struck.may_strike(2, 0)
+
+
+def test_one_that_recurs_or_waits_for_a_time_may_strike_every_message_before_its_end() -> None:
+    window = {"trigger": None, "recurrence": "intermittent", "probability": 0.5, "until_s": 2.0}
+    assert fault("command.vx", **window).may_strike(0, 1_999_999_999)
+    assert not fault("command.vx", **window).may_strike(0, 2_000_000_000)
+    assert fault("command.vx", trigger={"after_ns": 5}).may_strike(0, 0)
+    assert not fault("command.vx", trigger=None).may_strike(0, 0)
