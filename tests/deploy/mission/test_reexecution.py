@@ -1,16 +1,24 @@
 """Re-execution in flight: it changes nothing of a sound flight, and finds what strikes an output."""
 
+import sys
+from collections import Counter
+
 import pytest
 
 from deploy.bench.detector_series import TWICE, watched
 from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from deploy.pairing.golden_twin import PairFlyer
+from services.bus.topics import published_by
+from services.kernels import KERNELS
 from services.models.faults.specification import FaultSpec
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
 
 SHORT = Limits(mission_time_s=8.0)
+
+FAULTS = 60
+"""Of each kernel, in the soak test."""
 
 
 def mission(**fields: object) -> MissionSpec:
@@ -84,3 +92,33 @@ def test_a_fault_in_an_instruction_is_found_if_it_changes_the_command(seed: int,
     found = [alarm.virtual_time_ns / 1e9 for alarm in outcome.detection.alarms]
     changed_s = outcome.topics["command"].diverged_at_s
     assert found == ([] if changed_s is None else [pytest.approx(changed_s)])
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_transient_faults_of_a_kernel_that_change_what_its_stage_publishes_are_found(
+    kernel: str, server: ForkServer
+) -> None:
+    stage = KERNELS[kernel].stage
+    planner = {"planner": kernel} if kernel.startswith("rrt") else {}
+    found: Counter[str] = Counter()
+    flyer = PairFlyer(server)
+    for seed in range(FAULTS):
+        fault = FaultSpec(target=kernel, field="exponent" if seed % 2 else "any", seed=seed)
+        outcome = flyer.fly(mission(seed=seed // 20, fault=fault, detector=TWICE, **planner))
+        report = outcome.nodes[stage]
+        times = (outcome.topics[topic.name].diverged_at_s for topic in published_by(stage))
+        changed_s = min((time_s for time_s in times if time_s is not None), default=None)
+        assert outcome.detection is not None
+        alarmed = {alarm.stage for alarm in outcome.detection.alarms}
+        assert alarmed <= {stage}
+        if report.result in ("crash", "hang"):
+            found["died"] += 1
+        elif changed_s is None:
+            found["same"] += 1
+            assert not alarmed
+        else:
+            found["found" if alarmed else f"missed: seed {seed}"] += 1
+    sys.stdout.write(f"{kernel}: {dict(found)}\n")
+    changed = sum(found.values()) - found["died"] - found["same"]
+    assert found["found"] >= 0.99 * changed
