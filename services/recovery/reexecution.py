@@ -28,19 +28,27 @@ DIGEST_BYTES = 16
 Made = TypeVar("Made")
 
 
+class Reach(Protocol):
+    """What re-execution needs to know of the mission's fault."""
+
+    @property
+    def strikes(self) -> int:
+        """How often the fault was let at the stage."""
+        ...
+
+    def covers_next(self, now_ns: int) -> bool:
+        """Whether the fault may strike the output that the stage makes next."""
+        ...
+
+
 class RepeatableStage(Protocol):
     """What re-execution needs of the node that it belongs to."""
 
     now_ns: int
 
     @property
-    def may_be_struck(self) -> bool:
-        """Whether a fault may strike the output that it makes next."""
-        ...
-
-    @property
-    def strikes(self) -> int:
-        """How often a fault was let at it."""
+    def fault_reach(self) -> Reach:
+        """What the mission's fault can strike of the node."""
         ...
 
     def overheard(self, digest: Digest, *, in_a_copy: bool) -> AbstractContextManager[None]:
@@ -65,7 +73,7 @@ class Reexecution:
 
     def make(self, make: Callable[[], Made], sent: Callable[[Made], bytes]) -> Made:
         """What ``make`` makes, after a copy has made it; ``sent`` is what of it is published."""
-        if not self._stage.may_be_struck:
+        if not self._stage.fault_reach.covers_next(self._stage.now_ns):
             return self._make_alone(make, sent)
         self._seen[:] = bytes(DIGEST_BYTES)
         forked = fork_and_wait()
@@ -87,9 +95,9 @@ class Reexecution:
 
         :raises RuntimeError: if a fault was let at it all the same.
         """
-        begun_ns, strikes = self._stage.now_ns, self._stage.strikes
+        begun_ns, strikes = self._stage.now_ns, self._stage.fault_reach.strikes
         made, _ = self._make(make, sent, in_a_copy=False)
-        if self._stage.strikes != strikes:
+        if self._stage.fault_reach.strikes != strikes:
             raise RuntimeError("a fault was let at an output of which there is no copy")
         self.took_ns, self.differed = self._stage.now_ns - begun_ns, False
         return made

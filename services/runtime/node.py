@@ -26,6 +26,7 @@ from services.models.detection import DETECTOR, AlarmRecord
 from services.models.outcome import InjectionRecord
 from services.models.pilots import added_guards
 from services.recovery.recovery import Recovery
+from services.runtime.fault_reach import FaultReach
 from services.runtime.guard_counts import GuardCounts
 from services.runtime.kernel_timer import KernelTimer
 from services.runtime.latency import VirtualLink
@@ -65,13 +66,13 @@ class Node:
             else None
         )
         self._corrupted: Any = None
-        self._struck_messages = 0
         self.recovery = Recovery(self, setup.spec.detector)
         self._inputs: dict[str, Input] = {}
         self._added = added_guards(setup.spec.active_guards, self.name)
         self._published = {
             topic.name: setup.published.get(topic.name, 0) for topic in published_by(self.name)
         }
+        self.fault_reach = FaultReach(self.timer, self._source_fault, self._published)
 
     # -- declaring ---------------------------------------------------------------------------------
 
@@ -121,21 +122,7 @@ class Node:
             return
         self._corrupted = message
         for record in fault.strike(message, self._published[topic], self.now_ns):
-            self._struck_messages += 1
             self._tell("injection", Injection(record=record.model_dump_json(by_alias=True)))
-
-    @property
-    def may_be_struck(self) -> bool:
-        """Whether the mission's fault may strike the output that the node makes next."""
-        fault = self._source_fault
-        if fault is not None and fault.topic in self._published:
-            return fault.may_strike(self._published[fault.topic], self.now_ns)
-        return self.timer.may_be_struck(self.now_ns)
-
-    @property
-    def strikes(self) -> int:
-        """How many kernel calls and messages of this node the fault was let at."""
-        return self.timer.armed_calls + self._struck_messages
 
     def tell_alarm(self, record: AlarmRecord) -> None:
         """Send an alarm to the recorder.

@@ -19,6 +19,7 @@ class SourceFault:
     """One fault: in the message of its topic that the trigger names, counted from 0, or as it recurs.
 
     It is asked about each message of the topic, by a stage that began at virtual time ``start_ns``.
+    ``strikes`` counts.
     """
 
     def __init__(self, fault: FaultSpec, mission_seed: int, start_ns: int = 0) -> None:
@@ -27,6 +28,7 @@ class SourceFault:
         self.topic = self._states[0].topic
         self._seed = mission_seed
         self._done = False
+        self.strikes = 0
         self._number, self._again = -1, 0
         self._upsets = _upsets(fault, mission_seed, start_ns) if fault.rate_hz is not None else iter(())
         self._next_upset_ns = next(self._upsets, math.inf)
@@ -46,7 +48,9 @@ class SourceFault:
         if self._fault.recurrence == "once" and trigger is not None:
             trigger = trigger.model_copy(update={"invocation": number})
         told = {"invocation": number, "virtual_time_ns": now_ns, "trigger": trigger}
-        return [self._struck(message, draw).model_copy(update=told) for draw in self._draws(number, now_ns)]
+        done = [self._struck(message, draw).model_copy(update=told) for draw in self._draws(number, now_ns)]
+        self.strikes += len(done)
+        return done
 
     def _draws(self, number: int, now_ns: int) -> Iterator[np.random.Generator]:
         """For each time that a message is struck, what its bits are drawn from."""

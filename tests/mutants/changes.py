@@ -720,8 +720,8 @@ MUTANTS: list[Mutant] = [
         ),
         (
             "recovery: the last alarm is not told",
-            '            self._tell(topic, found, "published", self._stage.now_ns)\n            self._fresh',
-            "            self._fresh",
+            "        self._tell(topic, found, action, alarmed_ns)\n",
+            "",
         ),
         (
             "recovery: the time of a check does not pass",
@@ -1418,10 +1418,14 @@ MUTANTS: list[Mutant] = [
         "tests/services/recovery/test_reexecution.py",
         (
             "reexecution: a strike without a copy is silent",
-            "if self._stage.strikes != strikes:",
-            "if self._stage.strikes < strikes:",
+            "if self._stage.fault_reach.strikes != strikes:",
+            "if self._stage.fault_reach.strikes < strikes:",
         ),
-        ("reexecution: a copy is always made", "if not self._stage.may_be_struck:", "if False:"),
+        (
+            "reexecution: a copy is always made",
+            "if not self._stage.fault_reach.covers_next(self._stage.now_ns):",
+            "if False:",
+        ),
     ),
     *_of(
         "services/runtime/kernel_timer.py",

@@ -16,12 +16,20 @@ from services.recovery.recovery import Recovery
 CHECK_NS, MAKE_NS = 7, 1000
 
 
+class NoFault:
+    """Nothing is struck."""
+
+    strikes = 0
+
+    def covers_next(self, now_ns: int) -> bool:
+        return now_ns < 0
+
+
 class Control:
     """A stage of which the numbers below ``wrong`` are alarmed; the detector dies after ``answers``."""
 
     name = "control"
-    may_be_struck = False
-    strikes = 0
+    fault_reach = NoFault()
 
     def __init__(self, wrong: float, answers: int = 1_000_000) -> None:
         self.now_ns = 0

@@ -33,7 +33,8 @@ class Adder:
         self.alarms: list[AlarmRecord] = []
         self.counted: Counter[str] = Counter()
         self.in_a_copy = False
-        self.may_be_struck = True
+        self.fault_reach = self
+        self.reached = True
         self._digest: Digest | None = None
 
     @contextmanager
@@ -45,6 +46,10 @@ class Adder:
     @property
     def strikes(self) -> int:
         return sum(number <= self.made for number in (*self.struck, *self.told_struck))
+
+    def covers_next(self, now_ns: int) -> bool:
+        assert now_ns == self.now_ns
+        return self.reached
 
     def tell(self, payload: bytes) -> None:
         if self._digest is not None:
@@ -140,7 +145,7 @@ def test_where_no_fault_can_strike_no_copy_makes_it_first(capfd: pytest.CaptureF
         os.write(1, b"made ")
         return stage.add()
 
-    for stage.may_be_struck in (True, False):
+    for stage.reached in (True, False):
         twice.make(make, payload)
         assert (twice.took_ns, twice.differed) == (MAKE_NS, False)
         os.write(1, b". ")
@@ -149,7 +154,7 @@ def test_where_no_fault_can_strike_no_copy_makes_it_first(capfd: pytest.CaptureF
 
 def test_a_fault_that_strikes_where_it_was_not_to_is_an_error() -> None:
     stage = Adder(struck=(1,))
-    stage.may_be_struck = False
+    stage.reached = False
     with pytest.raises(RuntimeError, match="let at an output of which there is no copy"):
         Reexecution(stage).make(stage.add, payload)
 
