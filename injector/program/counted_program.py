@@ -143,9 +143,11 @@ class CountedProgram:
             self._program.resume(thread)
             return None
         thread.signals.clear()
-        self._to_clean_point(thread)
+        came = self._to_clean_point(thread)
         ptrace.step(thread.tid, report.signal)
         stepped = self._program.await_one(thread)
+        for number in came:  # the handler's frame is there: they wait until it lets them in
+            ptrace.send(thread.pid, thread.tid, number)
         if stepped.kind != "step":
             return self._answer(thread, stepped)
         at = ptrace.program_counter(thread.tid)
@@ -154,12 +156,19 @@ class CountedProgram:
         self._program.resume(thread)
         return None
 
-    def _to_clean_point(self, thread: Tracee) -> None:
-        """Step to where none of our own instructions is under way, which the handler's would disturb."""
+    def _to_clean_point(self, thread: Tracee) -> list[int]:
+        """Step to where none of our own instructions is under way, which the handler's would disturb.
+
+        Signals that come meanwhile are returned: each takes the place of a step.
+        """
+        came: list[int] = []
         for _ in range(_MOST_STEPS):
-            at = ptrace.program_counter(thread.tid)
-            if self.translations.is_clean(at):
-                return
+            if self.translations.is_clean(ptrace.program_counter(thread.tid)):
+                break
             ptrace.step(thread.tid)
-            if self._program.await_one(thread).kind != "step":
-                return
+            report = self._program.await_one(thread)
+            if report.kind == "signal":
+                thread.signals.clear()
+                if report.signal != signal.SIGTRAP or not self.translations.lead_on(thread.tid):
+                    came.append(report.signal)
+        return came

@@ -1572,6 +1572,20 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "injector/program/counted_program.py",
+        "tests/injector/program/test_counted_program.py",
+        (
+            "program: a second signal has the first one delivered amid our own instructions",
+            "                    came.append(report.signal)\n        return came",
+            "                    came.append(report.signal)\n                    break\n        return came",
+        ),
+        (
+            "program: a signal that comes while another one is delivered is lost",
+            "            ptrace.send(thread.pid, thread.tid, number)",
+            "            pass",
+        ),
+    ),
+    *_of(
         "injector/program/translator.py",
         "tests/injector/program/test_counted_program.py",
         (

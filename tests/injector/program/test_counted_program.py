@@ -84,6 +84,36 @@ int main(void) {
 """
 
 
+PAIRS = """
+#include <signal.h>
+#include <stdio.h>
+#include <sys/mman.h>
+#include <sys/wait.h>
+#include <unistd.h>
+static volatile int *seen;
+static void on_signal(int number) { seen[number == SIGUSR2]++; }
+static unsigned long twice(unsigned long at) { return 2 * at; }
+static unsigned long thrice(unsigned long at) { return 3 * at; }
+static unsigned long (*volatile const of[2])(unsigned long) = {twice, thrice};
+int main(void) {
+    seen = mmap(0, 4096, PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0);
+    signal(SIGUSR1, on_signal);
+    signal(SIGUSR2, on_signal);
+    pid_t sender = fork();
+    for (int sent = 1; !sender; sent++) {
+        if (sent > 200 || kill(getppid(), SIGUSR1) || kill(getppid(), SIGUSR2)) _exit(0);
+        for (int at = 0; seen[0] < sent || seen[1] < sent; at++) if (usleep(1000), at > 5000) _exit(1);
+    }
+    unsigned long wrong = 0;
+    int status;
+    for (unsigned long at = 1; at & 1023 || !waitpid(sender, &status, WNOHANG); at++)
+        wrong += of[at & 1](at) != (2 + (at & 1)) * at;
+    printf("%lu %d %d %d\\n", wrong, status, seen[0], seen[1]);
+}
+"""
+"""Two signals at a time, while calls by address are under way; each is awaited."""
+
+
 def stepped(spec: ProgramSpec) -> Counter[int]:
     """The passes of a run in single steps; a repeated instruction counts once."""
     with runs_of(spec) as runs, runs.launch() as program:
@@ -137,6 +167,11 @@ def test_threads_signals_and_children_run_as_without_us(tmp_path: Path, options:
     with injector_of(spec_of([compiled(tmp_path, BUSY, "busy", *options)])) as injector:
         profile = injector.counted()  # raises if the output is another one
     assert profile.counts.executed > 200 * 20_000
+
+
+def test_signals_that_come_together_disturb_no_call(tmp_path: Path) -> None:
+    with injector_of(spec_of([compiled(tmp_path, PAIRS, "pairs")])) as injector:
+        assert injector.counted().counts.executed > 10_000  # raises if the output is another one
 
 
 def test_flags_outlive_the_beginning_of_a_block(tmp_path: Path) -> None:
