@@ -27,10 +27,11 @@ _RECORD = "zenfi detect record harmful.jsonl --output DIR"
 _LEGEND = (
     "Of the faults that harm a mission, how many does a detector notice before the harm, and at how many\n"
     "false alarms? All schemes have the same budgets: each other golden flight sets the limit of the score,\n"
-    "the rest tell the false alarms. Bounds of what is caught are one-sided (Clopper-Pearson), intervals of\n"
-    "false alarms two-sided (Poisson). Times are medians, with the tenth and the ninetieth percentile: from\n"
-    "the fault to the alarm, and from the alarm to the harm. Compute is virtual time on the flights'\n"
-    "platform; that of re-execution is the kernels' second run."
+    "the rest tell the false alarms, at most one a flight. Bounds of what is caught are one-sided,\n"
+    "intervals of false alarms two-sided (Clopper-Pearson by flight, Poisson by time). Times are medians,\n"
+    "with the tenth and the ninetieth percentile: from the fault to the alarm, and from the alarm to the\n"
+    "harm. Compute is virtual time on the flights' platform; that of re-execution is the kernels' second\n"
+    "run."
 )
 _HEADS = (
     "scheme",
@@ -116,7 +117,7 @@ def as_dict(one: SchemeCoverage) -> dict[str, Any]:
 
 
 def _figures(budget: Budget, found: Coverage) -> dict[str, Any]:
-    low, high = events_interval(found.alarms)
+    hours = max(found.hours, 1e-9)
     faults = len(found.verdicts)
     return {
         "budget": budget.words,
@@ -124,9 +125,13 @@ def _figures(budget: Budget, found: Coverage) -> dict[str, Any]:
         "golden_flights": found.flights,
         "golden_hours": round(found.hours, 3),
         "false_alarms": found.alarms,
-        "flights_with_false_alarm": found.alarmed,
-        "false_alarms_per_flight": [one / max(found.flights, 1) for one in (found.alarms, low, high)],
-        "false_alarms_per_100_h": [100 * one / max(found.hours, 1e-9) for one in (found.alarms, low, high)],
+        "false_alarms_per_flight": [
+            found.alarms / max(found.flights, 1),
+            *clopper_pearson(found.alarms, found.flights),
+        ],
+        "false_alarms_per_100_h": [
+            100 * one / hours for one in (found.alarms, *events_interval(found.alarms))
+        ],
         "harmful": faults,
         "caught_in_time": found.in_time,
         "bounds": {str(level): lower_bound(found.in_time, faults, level) for level in BOUNDS},
@@ -199,7 +204,7 @@ def _rows(found: Sequence[SchemeCoverage]) -> list[list[str]]:
 
 
 def _row(one: SchemeCoverage, budget: str, found: Coverage) -> list[str]:
-    low, high = events_interval(found.alarms)
+    figures = _figures(Budget(budget, 0.0, 0.0), found)
     faults = len(found.verdicts)
     caught = [that for that in found.verdicts if that.in_time]
     delays = [that.alarm_s - that.harm.injected_s for that in caught if that.alarm_s is not None]
@@ -209,8 +214,8 @@ def _row(one: SchemeCoverage, budget: str, found: Coverage) -> list[str]:
         budget,
         f"{found.limit:.3g}",
         str(found.alarms),
-        _with_ends(1 / max(found.flights, 1), found.alarms, low, high),
-        _with_ends(100 / max(found.hours, 1e-9), found.alarms, low, high),
+        _with_ends(*figures["false_alarms_per_flight"]),
+        _with_ends(*figures["false_alarms_per_100_h"]),
         f"{found.in_time} of {faults}",
         f"{100 * found.in_time / max(faults, 1):.1f}",
         *(f"{100 * lower_bound(found.in_time, faults, level):.1f}" for level in BOUNDS),
@@ -226,8 +231,8 @@ def _short_row(one: SchemeCoverage, found: Coverage) -> list[str]:
     return [one.scheme, str(found.alarms), str(found.flights), *shown]
 
 
-def _with_ends(times: float, events: int, low: float, high: float) -> str:
-    return f"{times * events:.3g} ({times * low:.2g} to {times * high:.2g})"
+def _with_ends(value: float, low: float, high: float) -> str:
+    return f"{value:.3g} ({low:.2g} to {high:.2g})"
 
 
 def _quantiles(values: Sequence[float]) -> str:

@@ -1,16 +1,18 @@
 """Of the faults that harmed a flight, how many a detector catches in time, at how many false alarms.
 
-Everything is told from recorded flights. The limit of the score is put on golden flights that nothing else is
-told from, so that all schemes are compared at the same number of false alarms.
+Everything is told from recorded flights. A golden flight with an alarm is one false alarm: what follows the
+first is no news to who reacts. The limit of the score is put on golden flights that nothing else is told
+from, so that all schemes are compared at the same number of false alarms.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+import scipy  # its parts are loaded when they are used
 
 from detector.schemes.base import Floats
 from detector.series.series import Series
@@ -20,6 +22,12 @@ from services.recovery.reexecution import SCHEME
 
 SECONDS = 3600.0
 """Of an hour."""
+
+RISK = 0.1
+"""That more flights have a false alarm than the budget allows: the limit makes it no likelier."""
+
+TAIL = 0.1
+"""The part of the flights, those with the largest scores, from which a limit beyond them all is told."""
 
 
 class HarmReport(Strict):
@@ -55,9 +63,10 @@ class JudgedFlight:
     scores: Floats
     harm: HarmReport | None = None
 
-    def alarms(self, limit: float) -> int:
-        """How many checks score above a limit."""
-        return int((self.scores > limit).sum())
+    @property
+    def largest(self) -> float:
+        """The largest score; 0 if there is none."""
+        return float(self.scores.max(initial=0.0))
 
     def first_alarm_s(self, limit: float) -> float | None:
         """When the first check at or after the fault scores above a limit; None if none does."""
@@ -113,10 +122,32 @@ def judged(scheme: Judge, flight: Series) -> JudgedFlight:
     )
 
 
-def limit_within(flights: Iterable[JudgedFlight], most: int) -> float:
-    """The lowest limit at which these flights have at most so many alarms; infinite if there is none."""
-    scores = np.sort(np.concatenate([np.empty(0), *(one.scores for one in flights)]))[::-1]
-    return float(scores[most]) if most < len(scores) else 0.0
+def limit_within(flights: Sequence[JudgedFlight], rate: float) -> float:
+    """The limit that at most a part ``rate`` of such flights exceeds, with a confidence of 1 - ``RISK``.
+
+    It is the binomial tolerance limit (Wilks 1941): the lowest score of these flights that says so. Where
+    they are too few to say it, see :func:`limit_beyond`.
+    """
+    largest = np.sort([one.largest for one in flights])[::-1]
+    law = scipy.stats.binom(len(largest), min(rate, 1.0))
+    exceeding = int(law.ppf(RISK))
+    exceeding -= bool(law.cdf(exceeding) > RISK)
+    return float(largest[exceeding]) if exceeding >= 0 else limit_beyond(largest, rate)
+
+
+def limit_beyond(largest: Floats, rate: float) -> float:
+    """The limit that a part ``rate`` of flights exceeds if ``largest`` (n,), falling, has a Pareto tail.
+
+    The tail's index is Hill's (1975), of the first tenth. It is no promise: of that few flights nobody can
+    tell. At least the largest score.
+    """
+    top = max(int(TAIL * len(largest)), 1)
+    begin = float(largest[min(top, len(largest) - 1)])
+    if begin <= 0.0 or not np.isfinite(largest[0]):
+        return float(largest[0])
+    index = float(np.log(largest[:top] / begin).mean())
+    expected = rate * len(largest)
+    return max(float(largest[0]), begin * (top / expected) ** index) if expected else np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,14 +172,13 @@ class FaultVerdict:
 class Coverage:
     """What a detector does at one limit: false alarms of golden flights, and its verdict on each fault.
 
-    ``hours`` are those that the golden flights took, ``alarmed`` how many of them had an alarm.
+    ``hours`` are those that the golden flights took, ``alarms`` how many of them had one.
     """
 
     limit: float
     flights: int
     hours: float
     alarms: int
-    alarmed: int
     verdicts: tuple[FaultVerdict, ...]
 
     @property
@@ -163,8 +193,7 @@ def coverage(limit: float, golden: Sequence[JudgedFlight], harmful: Sequence[Jud
         limit=limit,
         flights=len(golden),
         hours=sum(one.time_s for one in golden) / SECONDS,
-        alarms=sum(one.alarms(limit) for one in golden),
-        alarmed=sum(one.alarms(limit) > 0 for one in golden),
+        alarms=sum(one.largest > limit for one in golden),
         verdicts=tuple(
             FaultVerdict(one.harm, one.first_alarm_s(limit)) for one in harmful if one.harm is not None
         ),
@@ -172,12 +201,12 @@ def coverage(limit: float, golden: Sequence[JudgedFlight], harmful: Sequence[Jud
 
 
 def at_budget(flights: Sequence[JudgedFlight], per_flight: float, per_hour: float) -> Coverage:
-    """The coverage at a budget of false alarms: so many a flight, and so many an hour.
+    """The coverage at a budget of false alarms: so many a flight and so many an hour together.
 
     Each other golden flight sets the limit, the rest tell how many false alarms it gives.
     """
     golden = [one for one in flights if one.harm is None]
     setting, others = golden[::2], golden[1::2]
-    hours = sum(one.time_s for one in setting) / SECONDS
-    limit = limit_within(setting, int(per_flight * len(setting) + per_hour * hours))
+    hours = sum(one.time_s for one in setting) / SECONDS / max(len(setting), 1)
+    limit = limit_within(setting, per_flight + per_hour * hours)
     return coverage(limit, others, [one for one in flights if one.harm is not None])

@@ -1515,7 +1515,12 @@ MUTANTS: list[Mutant] = [
             "golden[::2], golden[1::2]",
             "golden[::2], golden[::2]",
         ),
-        ("coverage: the limit allows an alarm more", "scores[most]", "scores[most + 1]"),
+        (
+            "coverage: the limit keeps the budget in half of all cases",
+            "exceeding -= bool(law.cdf(exceeding) > RISK)",
+            "exceeding = round(law.mean())",
+        ),
+        ("coverage: the tail is forgotten", "(top / expected) ** index", "1.0"),
     ),
     *_of(
         "injector/program/launcher.py",

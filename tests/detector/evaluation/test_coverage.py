@@ -28,11 +28,27 @@ def harmful(scores: dict[float, float], injected_s: float = 10.0, harmed_at_s: f
     return JudgedFlight(36.0, np.array([*scores]), np.array([*scores.values()]), report)
 
 
-@pytest.mark.parametrize(("most", "limit"), [(0, 5.0), (1, 3.0), (2, 2.0), (4, 0.0), (9, 0.0)])
-def test_the_limit_is_the_lowest_with_so_many_false_alarms(most: int, limit: float) -> None:
-    flights = [golden(1.0, 5.0), golden(2.0, 3.0)]
-    assert limit_within(flights, most) == limit
-    assert sum(one.alarms(limit) for one in flights) <= most
+def test_the_limit_keeps_the_budget_nine_times_in_ten_whatever_the_scores_are_like() -> None:
+    draw = np.random.default_rng(5)
+    kept = 0
+    for _ in range(400):
+        limit = limit_within([golden(0.0, one) for one in draw.lognormal(size=200)], 0.1)
+        kept += math.erfc(math.log(limit) / math.sqrt(2)) / 2 <= 0.1
+    assert 0.87 <= kept / 400 <= 0.97
+
+
+def test_of_few_flights_the_limit_lies_beyond_them_by_their_tail() -> None:
+    scores = (1.0 - (np.arange(500) + 0.5) / 500) ** (-1 / 4)
+    limit = limit_within([golden(one) for one in scores], 1e-4)
+    assert limit == pytest.approx((1e-4) ** (-1 / 4), rel=0.1)
+    assert limit > scores.max()
+
+
+@pytest.mark.parametrize(("scores", "limit"), [((0.0, 0.0), 0.0), ((0.0, math.inf), math.inf)])
+def test_who_never_alarms_needs_no_limit_and_who_is_sure_of_it_has_none(
+    scores: tuple[float, ...], limit: float
+) -> None:
+    assert limit_within([golden(one) for one in scores], 1e-3) == limit
 
 
 def test_an_alarm_counts_from_the_fault_to_the_harm() -> None:
@@ -50,18 +66,18 @@ def test_an_alarm_counts_from_the_fault_to_the_harm() -> None:
     assert [one.alarm_s for one in found.verdicts] == [12.0, 21.0, None, 10.0, 20.0]
     assert [one.in_time for one in found.verdicts] == [True, False, False, True, False]
     assert [one.margin_s for one in found.verdicts] == [8.0, -1.0, None, 10.0, 0.0]
-    assert (found.in_time, found.alarms, found.alarmed, found.flights) == (2, 2, 1, 2)
+    assert (found.in_time, found.alarms, found.flights) == (2, 1, 2)
     assert found.hours == pytest.approx(0.02)
 
 
 def test_flights_that_set_the_limit_tell_no_false_alarms() -> None:
-    flights = [golden(1.0), golden(7.0), golden(2.0), golden(0.5), golden(3.0), golden(2.5)]
-    found = at_budget([*flights, harmful({12.0: 2.6})], 0.0, 0.0)
-    assert (found.limit, found.flights, found.alarms, found.in_time) == (3.0, 3, 1, 0)
-    assert at_budget(flights, 0.4, 0.0).limit == 2.0
-    # 36 s each: a false alarm in 0.03 h.
-    assert at_budget(flights, 0.0, 34.0).limit == 2.0
-    assert at_budget(flights, 0.0, 33.0).limit == 3.0
+    flights = [golden(one, 0.1) for pair in zip(range(1, 51), range(101, 151), strict=True) for one in pair]
+    found = at_budget([*flights, harmful({12.0: 50.5}), harmful({12.0: 44.0})], 0.2, 0.0)
+    # Of 50 flights 5 may exceed the limit: with a rate above 0.2 so few would in one case of ten at most.
+    assert (found.limit, found.flights, found.alarms, found.in_time) == (45.0, 50, 50, 1)
+    # 36 s each: 20 in an hour.
+    assert at_budget(flights, 0.0, 20.0) == at_budget(flights, 0.2, 0.0) == at_budget(flights, 0.1, 10.0)
+    assert at_budget(flights, 0.0, 0.0).limit == math.inf
 
 
 def test_a_flight_is_judged_as_in_flight() -> None:
@@ -70,7 +86,7 @@ def test_a_flight_is_judged_as_in_flight() -> None:
     calm = judged(Kinematic.load(model), flights[0])
     assert len(calm.scores) == sum(len(one) for one in flights[0].checks.values())
     assert (np.diff(calm.times_s) >= 0.0).all()
-    assert calm.alarms(1.0) == 0
+    assert calm.largest <= 1.0
     ticks = flights[0].checks["control"]
     values = ticks.values.copy()
     values[ticks.first[100] + 1, 11] = 50.0
