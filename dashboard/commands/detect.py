@@ -23,6 +23,7 @@ from deploy.bench.detector_series import watched
 from deploy.bench.harmful_series import flown_again, golden_missions
 from deploy.errors import BadSpecError
 from deploy.mission.fork_server import ForkServer
+from detector.evaluation.ablation import VARIANTS, judged_by
 from detector.evaluation.coverage import HarmReport, class_of, judged
 from detector.evaluation.outside_schemes import ScoringProgram, scheme_in
 from detector.schemes.base import Scheme
@@ -169,6 +170,43 @@ def evaluate(data: Path, names: tuple[str, ...], page: Path | None, as_json: boo
         harm_coverage.show(Console(), found)
     if page is not None:
         harm_coverage.write(page, found, f"zenfi detect evaluate {data.name} --page {page.name}")
+
+
+@detect.command()
+@click.argument("data", metavar="DIR", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option(
+    "--page", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE.md", help="Also a page."
+)
+@click.option(
+    "--variant",
+    "names",
+    multiple=True,
+    type=click.Choice([one.name for one in VARIANTS]),
+    help="Default: all.",
+)
+def ablation(data: Path, page: Path | None, names: tuple[str, ...]) -> None:
+    """What inputs, window and preprocessing are worth to the paper's two schemes, on the flights in DIR.
+
+    Each variant learns from a third of the golden flights and is judged like a scheme on all others.
+    """
+    flights = _recorded(data)
+    golden = [one for one in flights if "harm" not in one.about]
+    lessons, others = golden[::3], [one for number, one in enumerate(golden) if number % 3]
+    harmful = [one for one in flights if "harm" in one.about]
+    if not lessons:
+        message = f"{data}: holds no golden flight to learn from; record more"
+        raise BadSpecError(message)
+    found = []
+    wanted = [one for one in VARIANTS if one.name in names or not names]
+    for variant in track(wanted, "variants", console=messages):
+        scores = judged_by(variant, lessons, [*harmful, *others])
+        found.append(
+            SchemeCoverage(variant.name, None, [(budget, budget.coverage(scores)) for budget in BUDGETS])
+        )
+    harm_coverage.show(Console(), found)
+    if page is not None:
+        command = f"zenfi detect ablation {data.name} --page {page.name}"
+        harm_coverage.write(page, found, command, "What inputs, window and preprocessing give")
 
 
 @detect.command()

@@ -71,6 +71,17 @@ def test_schemes_are_compared_at_the_same_false_alarms(recorded: Path, tmp_path:
     assert "| guarded | permanent | command.velocity | 2 |" in page.read_text()
 
 
+def test_variants_of_the_papers_schemes_are_judged_alike(recorded: Path, tmp_path: Path) -> None:
+    page, wanted = tmp_path / "ablation.md", ("GAD", "GAD, 25 ticks", "AAD, not cubed")
+    options = [part for name in wanted for part in ("--variant", name)]
+    answer = zenfi("detect", "ablation", recorded, *options, "--page", page)
+    assert answer.returncode == 0, answer.stderr
+    rows = re.findall(r"^\| (\w[^|]*) \| 0.1 a flight \|.* (\d) of 2 \|", page.read_text(), re.MULTILINE)
+    assert [name for name, _ in rows] == ["AAD, not cubed", "GAD", "GAD, 25 ticks"]
+    said = refusal("detect", "ablation", recorded, "--variant", "AAD, blind")
+    assert "AAD, blind" in said
+
+
 def test_bad_input_is_one_clear_line(recorded: Path, tmp_path: Path) -> None:
     assert "makes one" in refusal("detect", "record", tmp_path / "absent", "--output", tmp_path / "out")
     for part in ("0/2", "3/2", "2", "a/b", "1/2/3"):
