@@ -64,9 +64,10 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
                 partial(shown, flown, now_s, here),
                 flown.take_back if node.recovery.reexecutes else partial(flown.skip_waypoint, now_s),
                 {
-                    "stop": partial(stopped, flown),
+                    "stop": partial(np.zeros, 4),
                     "simple": partial(simple, flown, now_s, here, node.spec.motion.speed_m_s),
                 },
+                flown.take_back,
             )
             node.put("command", command)
             node.guards.take(flown.acted)
@@ -78,15 +79,8 @@ def make(node: Node, flown: Follower, now_s: float, here: VehicleState) -> Float
         return flown.command(now_s, here.position, here.velocity, here.yaw, TICK_S)
 
 
-def stopped(flown: Follower) -> Floats:
-    """The command to stop, in the place of one that is not to be trusted."""
-    flown.take_back()
-    return np.zeros(4)
-
-
 def simple(flown: Follower, now_s: float, here: VehicleState, speed_m_s: float) -> Floats:
     """The backup controller's command to the waypoint, in the place of one that is not to be trusted."""
-    flown.take_back()
     return simple_command(here.position, flown.tracked(now_s)[1, 1:4], speed_m_s)
 
 

@@ -103,11 +103,13 @@ class Recovery:
         shown: Callable[[Any], Floats],
         before_again: Again | None = None,
         instead: Mapping[Fallback, Callable[[], Made]] = NO_FALLBACKS,
+        undo: Again | None = None,
     ) -> tuple[Made, Any]:
         """What ``compute`` makes and the ``message`` of it; made again while that is alarmed.
 
         ``shown`` gives what a detector is shown of a message. What is alarmed after the last of the retries
-        is taken all the same, or what ``instead`` makes for the stage's fallback, which nobody judges.
+        is taken all the same, or what ``instead`` makes for the stage's fallback, which nobody judges:
+        before that, ``undo`` takes back what the alarmed output has changed of the stage.
         ``before_again`` comes before each, and, with the gate off, before what follows an alarm.
         """
         make = self._maker(topic, compute, message)
@@ -139,6 +141,8 @@ class Recovery:
         alarmed_ns = self._stage.now_ns
         action, make_instead = self._fallback_of(topic, instead)
         if make_instead is not None:
+            if undo is not None:
+                undo()
             made = make_instead()
             sent = message(made)
         self._tell(topic, found, action, alarmed_ns)

@@ -40,6 +40,7 @@ COLOURS = {
     "injected": INJECTED,
     "with detector": WITH_DETECTOR,
     "recomputed": RECOMPUTED,
+    "fallback": RECOMPUTED,
 }
 """Of flights, by what :func:`called` calls them; ``golden`` is the twin."""
 
@@ -47,16 +48,19 @@ COLOURS = {
 def called(outcome: Outcome) -> str:
     """What a flight is called beside others of its fault.
 
-    ``recomputed`` says that an output was made again after the injection. Whether that recovered the flight,
-    one flight cannot tell: it takes harm as it was declared, and the flight without the detector.
+    ``recomputed`` says that an output was made again after the injection, ``fallback`` that another one was
+    published in the place of one that stayed alarmed. Whether that recovered the flight, one flight cannot
+    tell: it takes harm as it was declared, and the flight without the detector.
     """
     if outcome.spec.fault is None:
         return "flight"
     if outcome.spec.detector is None:
         return "injected"
     alarms = outcome.detection.alarms if outcome.detection is not None else []
-    acted = any(one.true and one.action == "recomputed" for one in alarms)
-    return "recomputed" if acted else "with detector"
+    actions = {one.action for one in alarms if one.true}
+    if actions & {"last_good", "stop", "trail", "simple"}:
+        return "fallback"
+    return "recomputed" if "recomputed" in actions else "with detector"
 
 
 @dataclass(frozen=True, slots=True)

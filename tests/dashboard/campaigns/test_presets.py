@@ -52,7 +52,15 @@ def test_detectors_are_asked_for_where_the_paper_has_them() -> None:
 def test_all_are_listed_in_a_line_each_with_what_they_take(tmp_path: Path) -> None:
     with closing(Store(tmp_path)) as store:
         plans = [(one, forecast(load_campaign(one.name), store, 2)) for one in presets()]
-    assert {one.name for one, _ in plans} == {*PAPER, "demo", "difficulty", "guards", "harmful", "recovery", "wind"}
+    assert {one.name for one, _ in plans} == {
+        *PAPER,
+        "demo",
+        "difficulty",
+        "guards",
+        "harmful",
+        "recovery",
+        "wind",
+    }
     assert {one.name: plan.cells for one, plan in plans if one.name in PAPER} == PAPER
     # Twins that fly as cells of their own are not flown again.
     assert {one.name: plan.twins for one, plan in plans}["table4"] == 0

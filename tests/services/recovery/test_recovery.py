@@ -2,6 +2,7 @@
 
 from collections import Counter
 from contextlib import AbstractContextManager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -145,13 +146,13 @@ ALARMED = 2
 @pytest.mark.parametrize("retries", [0, 1])
 def test_what_stays_alarmed_is_replaced(fallback: str, published: int, action: str, retries: int) -> None:
     spec = DetectorSpec.model_validate({"scheme": "any", "retries": retries, "control": fallback})
-    stage = Control(0)
+    stage, undone = Control(0), []
     recovery = Recovery(stage, spec)
 
     def publish() -> int:
-        made, sent = recovery.sound(
-            "command", stage.compute, str, shown, stage.skip, {"stop": lambda: -7, "simple": lambda: -8}
-        )
+        instead = {"stop": lambda: -7, "simple": lambda: -8}
+        undo = partial(undone.append, True)
+        made, sent = recovery.sound("command", stage.compute, str, shown, stage.skip, instead, undo)
         assert sent == str(made)
         return made
 
@@ -159,6 +160,7 @@ def test_what_stays_alarmed_is_replaced(fallback: str, published: int, action: s
     stage.wrong = 3
     stage.made = ALARMED - 1 - retries
     assert publish() == published
+    assert undone == [True] * (action != "published")
     assert stage.told[-1].action == action
     assert stage.counted["recomputed"] == retries
     stage.wrong = 0

@@ -1,14 +1,12 @@
 """What the page of a run draws, from real flights."""
 
-from typing import Literal
-
 import numpy as np
 import pytest
 
 from dashboard.web.charts import run_data
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
-from services.models.detection import AlarmRecord, DetectionReport, DetectorSpec
+from services.models.detection import Action, AlarmRecord, DetectionReport, DetectorSpec
 from services.models.faults.specification import FaultSpec, Trigger
 from services.models.inter_kernel_states import STATES
 from services.models.mission import Limits, MissionSpec
@@ -82,11 +80,13 @@ def test_every_state_has_values_and_an_axis(golden: FlownMission) -> None:
         ([("waypoint_dropped", True)], "with detector"),
         ([("recomputed", False)], "with detector"),
         ([("published", True), ("recomputed", True)], "recomputed"),
+        ([("recomputed", True), ("simple", True)], "fallback"),
+        ([("recomputed", True), ("simple", False)], "recomputed"),
     ],
 )
-def test_a_flight_is_called_recomputed_only_if_an_output_was_made_again_after_the_strike(
+def test_a_flight_is_called_by_what_was_done_after_the_strike(
     injected: FlownMission,
-    alarms: list[tuple[Literal["recomputed", "waypoint_dropped", "published"], bool]],
+    alarms: list[tuple[Action, bool]],
     name: str,
 ) -> None:
     raised = [
