@@ -51,6 +51,7 @@ COMMANDS = {
     "serve": LazyCommand("service", "Serve dashboard and REST API, and fly what is asked for."),
     "stop": LazyCommand("stack", "Stop processes of a stack."),
     "store": LazyCommand("campaign", "The place where campaigns are: backup, restore, check."),
+    "study": LazyCommand("study", "Experiments of the paper and of ours: flown, judged, written as pages."),
     "token": LazyCommand("service", "The token that requests to the service must bear."),
     "train": LazyCommand("train", "Train and evaluate anomaly detectors."),
     "up": LazyCommand("stack", "Start a stack's processes and supervise them."),

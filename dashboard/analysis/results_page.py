@@ -49,21 +49,22 @@ def page(
 ) -> str:
     """The page: what was flown, then a table for each world and fault with a row for each arm."""
     spec = found.spec
-    beside = {one.cell: one for one in compared}
     flown = sum(line.runs - line.failed_to_fly for line in lines)
     failed = sum(line.failed_to_fly for line in lines)
     last = spec.mission.seed + (spec.seeds or spec.runs) - 1
     about = f"{flown} flights, seeds {spec.mission.seed} to {last}; {failed} could not be flown."
-    parts = [
-        f"# Campaign {spec.name}",
-        f"{about} Made by `{command}`.",
-        _LEGEND.format(reference=compared[0].reference),
-    ]
+    parts = [f"# Campaign {spec.name}", f"{about} Made by `{command}`.", *tables(lines, compared)]
+    return "\n\n".join(parts) + "\n"
+
+
+def tables(lines: Sequence[CellSummary], compared: Sequence[Comparison]) -> Iterator[str]:
+    """What the columns are, then a table for each world and fault with a row for each arm."""
+    beside = {one.cell: one for one in compared}
+    yield _LEGEND.format(reference=compared[0].reference if compared else "nothing")
     ordered = sorted(lines, key=lambda line: (line.world, line.fault))
     for (world, fault), cells in groupby(ordered, key=lambda line: (line.world, line.fault)):
-        parts.append(f"## {world}{': ' if fault else ''}{fault}")
-        parts.append("\n".join([_HEAD, *_rows(cells, beside)]))
-    return "\n\n".join(parts) + "\n"
+        yield f"## {world}{': ' if fault else ''}{fault}"
+        yield "\n".join([_HEAD, *_rows(cells, beside)])
 
 
 def _rows(lines: Iterator[CellSummary], beside: Mapping[str, Comparison]) -> Iterator[str]:

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib.resources import files
 from pathlib import Path
 
 from nicegui import ui
 
 from dashboard.analysis.kernel_study import RESULTS, shares
-from dashboard.analysis.paper import FINDINGS, STUDIES, PaperValue, success, success_between, worst
 from dashboard.api.service import Service
 from dashboard.campaigns.flight_record import FlightRecord
-from dashboard.campaigns.presets import presets
 from dashboard.campaigns.statistics.proportions import Interval
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
+from dashboard.studies.paper import FINDINGS, STUDIES, PaperValue, success, success_between, worst
+from dashboard.studies.study import TABLE
 from dashboard.web.charts import charts
 from dashboard.web.components.breakdown import draw
 from dashboard.web.components.frame import REFUSED, ask, frame, nothing, section, trouble
@@ -45,17 +44,6 @@ def studied(store: Store) -> Studied:
     return found
 
 
-def about(preset: str) -> str:
-    """What the head of a preset's file says."""
-    lines = (files("dashboard") / "presets" / f"{preset}.toml").read_text().splitlines()[1:]
-    told = []
-    for line in lines:
-        if not line.startswith("#"):
-            break
-        told.append(line.removeprefix("#").strip())
-    return " ".join(told).strip()
-
-
 def register(service: Service) -> None:
     """Declare the page of the studies."""
 
@@ -74,10 +62,9 @@ def register(service: Service) -> None:
                 trouble(str(error), "Load this page again once that is put right.")
                 return
             _kernels(service.store.folder / KERNEL_STUDY, kernels)
-            titles = {preset.name: preset.about for preset in presets()}
             for name in STUDIES:
-                with section(titles[name], anchor=name):
-                    ui.label(about(name)).classes("note")
+                with section(TABLE[name].title, anchor=name):
+                    ui.label(TABLE[name].about).classes("note")
                     _study(name, found)
 
 

@@ -23,6 +23,8 @@ from tests.dashboard.command import zenfi
 PAPER = {"fig7": 8, "fig8": 9, "fig9": 4, "table3": 4, "table4": 48, "fig14": 33, "fig16": 54}
 """Cells of each."""
 
+OURS = ("demo", "difficulty", "guards", "harmful", "recovery", "wind")
+
 
 @pytest.mark.parametrize(("name", "count"), PAPER.items())
 def test_a_preset_has_the_papers_cells_and_a_hundred_flights_in_each(name: str, count: int) -> None:
@@ -52,15 +54,7 @@ def test_detectors_are_asked_for_where_the_paper_has_them() -> None:
 def test_all_are_listed_in_a_line_each_with_what_they_take(tmp_path: Path) -> None:
     with closing(Store(tmp_path)) as store:
         plans = [(one, forecast(load_campaign(one.name), store, 2)) for one in presets()]
-    assert {one.name for one, _ in plans} == {
-        *PAPER,
-        "demo",
-        "difficulty",
-        "guards",
-        "harmful",
-        "recovery",
-        "wind",
-    }
+    assert {one.name for one, _ in plans} == {*PAPER, *OURS}
     assert {one.name: plan.cells for one, plan in plans if one.name in PAPER} == PAPER
     # Twins that fly as cells of their own are not flown again.
     assert {one.name: plan.twins for one, plan in plans}["table4"] == 0

@@ -23,13 +23,17 @@ def _unknown(_records: Records) -> None:
 
 @dataclass(frozen=True, slots=True)
 class PaperValue:
-    """A number of the paper's and the same of a campaign; None where its flights say nothing yet."""
+    """A number of the paper's and the same of a campaign; None where its flights say nothing yet.
+
+    ``without`` is what it would be if the fault or the detector did nothing; None where there is neither.
+    """
 
     what: str
     unit: str
     paper: float
     ours: Reckoned
     interval: Between = _unknown
+    without: Reckoned = _unknown
 
 
 def success(records: Records) -> float | None:
@@ -72,10 +76,21 @@ def _of(records: Records, arm: str, world: str = "", *, injected: bool | None = 
 
 
 def _success_of(
-    what: str, paper: float, arm: str, world: str = "", *, injected: bool | None = None
+    what: str,
+    paper: float,
+    arm: str,
+    world: str = "",
+    *,
+    injected: bool | None = None,
+    beside: str | None = None,
 ) -> PaperValue:
+    """Success of an arm; ``beside`` is the arm whose golden success it is if the fault does nothing."""
+
     def ours(records: Records) -> Records:
         return _of(records, arm, world, injected=injected)
+
+    def without(records: Records) -> float | None:
+        return None if beside is None else success(_of(records, beside, world, injected=False))
 
     return PaperValue(
         f"{what}: success",
@@ -83,6 +98,7 @@ def _success_of(
         paper,
         lambda records: success(ours(records)),
         lambda records: success_between(ours(records)),
+        without,
     )
 
 
@@ -112,7 +128,7 @@ def _mean_over(what: str, paper: float, name: str, arm: str) -> PaperValue:
         low, high = (100 * (exp(middle + side * z_of(LEVEL) * spread) - 1) for side in (-1, 1))
         return Interval(low, high)
 
-    return PaperValue(what, "%", paper, ours, interval)
+    return PaperValue(what, "%", paper, ours, interval, lambda _: 0.0)
 
 
 def _worst_of(arm: str, world: str) -> Reckoned:
@@ -153,7 +169,7 @@ def _table3() -> list[PaperValue]:
     words = {"flight_time_s": "time", "distance_m": "distance", "energy_kj": "energy"}
     found = [_success_of("golden", 100.0, "golden")]
     for arm, (*values, rate) in injected.items():
-        found.append(_success_of(arm, rate, arm))
+        found.append(_success_of(arm, rate, arm, beside="golden"))
         found += [
             _mean_over(f"{arm}: {words[name]} over golden, mean", 100 * (value / golden[name] - 1), name, arm)
             for name, value in zip(golden, values, strict=True)
@@ -179,7 +195,9 @@ def _table4() -> list[PaperValue]:
         for setting, values in rates.items():
             arm = "bare" if setting in ("golden", "injected") else setting
             what = f"{world}, {setting}"
-            found.append(_success_of(what, values[i], arm, world, injected=setting != "golden"))
+            injected = setting != "golden"
+            beside = "bare" if injected else None
+            found.append(_success_of(what, values[i], arm, world, injected=injected, beside=beside))
     for i, world in enumerate(worlds):
         label = f"{world}: longest flight over its golden twin (Fig. 12)"
         found.append(PaperValue(label, "%", delays["bare"][i], _worst_of("bare", world)))

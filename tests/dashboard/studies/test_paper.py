@@ -5,12 +5,13 @@ from math import exp
 
 import pytest
 
-from dashboard.analysis.paper import FINDINGS, STUDIES, success, worst
 from dashboard.campaigns.flight_record import FlightRecord
 from dashboard.campaigns.presets import presets
 from dashboard.campaigns.spec import Cell, cells, load_campaign
 from dashboard.campaigns.statistics.proportions import wilson
-from dashboard.web.pages.studies import about, claims
+from dashboard.studies.paper import FINDINGS, STUDIES, success, worst
+from dashboard.studies.study import TABLE
+from dashboard.web.pages.studies import claims
 from tests.dashboard.commands.test_kernels import run
 from tests.dashboard.web.components.test_views import record
 
@@ -89,7 +90,7 @@ def test_every_study_is_a_preset_whose_arms_the_findings_name() -> None:
     assert set(STUDIES) <= {one.name for one in presets()}
     assert set(FINDINGS) <= set(STUDIES)
     for name, findings in FINDINGS.items():
-        assert "The paper" in about(name)
+        assert "The paper" in TABLE[name].about
         records = [
             replace(record(n, twin_success=True, twin_flight_time_s=10.0), cell=cell)
             for n, cell in enumerate(cells(load_campaign(name)))

@@ -1,0 +1,108 @@
+"""``zenfi study``: the experiments of the paper and of ours, from flights to pages."""
+
+from __future__ import annotations
+
+import json
+from contextlib import closing
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+
+from dashboard.campaigns.executors.choice import FORM, parse_executor
+from dashboard.campaigns.presets import scaled
+from dashboard.campaigns.results.compare import side_by_side
+from dashboard.campaigns.results.summary import summary
+from dashboard.campaigns.spec import CampaignSpec, load_campaign
+from dashboard.campaigns.store.store import Store
+from dashboard.studies import folder
+from dashboard.studies.study import TABLE, Study
+from dashboard.terminal.options import as_json, in_store
+from deploy.errors import BadSpecError
+from zenfi.campaign import Campaign, StoredCampaign
+
+messages = Console(stderr=True)
+
+
+@click.group()
+def study() -> None:
+    """Experiments of the paper and of ours: flown, judged and written as pages."""
+
+
+@study.command("list")
+@as_json
+def list_(as_json: bool) -> None:
+    """The studies, what they are about, and how many numbers of the paper they are held against."""
+    if as_json:
+        for one in TABLE.values():
+            click.echo(json.dumps({"name": one.name, "title": one.title, "findings": len(one.findings)}))
+        return
+    table = Table(box=None, pad_edge=False)
+    for name in ("study", "paper's numbers", "about"):
+        table.add_column(name)
+    for one in TABLE.values():
+        table.add_row(one.name, str(len(one.findings) or ""), one.title)
+    Console().print(table)
+
+
+@study.command()
+@click.argument("name", metavar="NAME|FILE")
+@click.option(
+    "--scale", type=click.FloatRange(min=0, min_open=True), default=1.0, help="So many times the runs a cell."
+)
+@click.option(
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Where page, tables and figure go (default: a folder of the study's name).",
+)
+@click.option("--executor", metavar=FORM, help="Who flies (default: local).")
+@click.option("--slots", type=click.IntRange(1, 256), help="Flights at a time (default: one per processor).")
+@in_store
+def run(
+    name: str, scale: float, output: Path | None, executor: str | None, slots: int | None, store: str
+) -> None:
+    """Fly the study NAME, or that of a page's FILE campaign.json, and write its page, tables and figure.
+
+    What the store has of the same specification is not flown again, so an interrupted study goes on.
+    """
+    spec = load_campaign(name)
+    found = find(spec)
+    asked = scaled(spec, scale) if scale != 1 else spec
+    label = _flown_before(asked, store) or Campaign(asked).create(store=store).label
+    flown = StoredCampaign(label, store)
+    if flown.phase not in ("done", "cancelled"):
+        at = parse_executor(executor, asked.executor) if executor is not None else None
+        try:
+            flown.fly(slots=slots, executor=at)
+        except KeyboardInterrupt:
+            messages.print("zenfi: go on with the same command")
+            raise
+    target = output if output is not None else Path(found.name)
+    with closing(Store(store)) as opened:
+        campaign = opened.find(label)
+        compared = side_by_side(opened, campaign, None, found.against)
+        records = list(opened.records(campaign))
+        folder.write(
+            target, found, folder.StudyResults(campaign, records, summary(opened, campaign), compared)
+        )
+    click.echo(f"{target / folder.PAGE}: {len(records)} runs of {label}")
+
+
+def find(spec: CampaignSpec) -> Study:
+    """The study of a campaign.
+
+    :raises BadSpecError: if it is of none.
+    """
+    if spec.name not in TABLE:
+        message = f"{spec.name}: no study; there are {', '.join(TABLE)}"
+        raise BadSpecError(message)
+    return TABLE[spec.name]
+
+
+def _flown_before(spec: CampaignSpec, store: str) -> str | None:
+    """The newest campaign of that very specification, unless it was given up."""
+    with closing(Store(store)) as opened:
+        same = [one for one in opened.campaigns() if one.spec == spec and one.phase != "cancelled"]
+    return same[-1].label if same else None

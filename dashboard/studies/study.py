@@ -1,0 +1,56 @@
+"""The table of studies: each experiment of the paper and of ours, and the campaign that flies it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from types import MappingProxyType
+from typing import NamedTuple
+
+from dashboard.campaigns.presets import presets
+from dashboard.studies.paper import FINDINGS, STUDIES, PaperValue
+
+
+class Study(NamedTuple):
+    """An experiment that is flown by the preset of its name.
+
+    ``against`` is the arm beside which the others are compared, None for the golden twins.
+    """
+
+    name: str
+    against: str | None = None
+
+    @property
+    def findings(self) -> Sequence[PaperValue]:
+        """The numbers of the paper that it is held against; none if the paper has none."""
+        return FINDINGS.get(self.name, [])
+
+    @property
+    def title(self) -> str:
+        """What it is about, in a line."""
+        return next(preset.about for preset in presets() if preset.name == self.name)
+
+    @property
+    def about(self) -> str:
+        """What the head of its preset says: the question, and what the paper found."""
+        lines = (files("dashboard") / "presets" / f"{self.name}.toml").read_text().splitlines()[1:]
+        head = []
+        for line in lines:
+            if not line.startswith("#"):
+                break
+            head.append(line.removeprefix("#").strip())
+        return " ".join(head).strip()
+
+
+_BESIDE = {
+    **dict.fromkeys(("fig8", "fig9", "table3"), "golden"),
+    **dict.fromkeys(("table4", "fig14", "recovery"), "bare"),
+    "guards": "baseline",
+}
+
+OURS = ("guards", "difficulty", "wind", "recovery")
+"""The studies that the paper has not."""
+
+TABLE: Mapping[str, Study] = MappingProxyType(
+    {name: Study(name, _BESIDE.get(name)) for name in (*STUDIES, *OURS)}
+)
