@@ -276,7 +276,8 @@ def league(entry: str, data: Path, model: Path | None, page: Path | None, as_jso
         place = [one.scheme for one in ranked].index(name) + 1
         click.echo(f"{name} is number {place} of {len(ranked)}")
     if page is not None:
-        command = f"zenfi detect league {Path(entry).name} --data {data.name} --page {page.name}"
+        command = f"zenfi detect seal DIR --output {data.name}\n"
+        command += f"zenfi detect league {Path(entry).name} --data {data.name} --page {page.name}"
         harm_coverage.write(page, ranked, command, f"League: {name} among {len(ranked) - 1} others")
 
 
