@@ -80,9 +80,10 @@ def _made(study: Study, results: StudyResults) -> str:
     failed = sum(one.phase == "failed" for one in results.records)
     hours = sum(one.wall_s for one in flown if not one.proof) / 3600.0
     last = spec.mission.seed + (spec.seeds or spec.runs) - 1
+    seeds = f"{spec.mission.seed} to {last}"
     about = (
-        f"{len(flown)} runs on the seeds {spec.mission.seed} to {last}; {proven} of them were proven to be the "
-        f"same as others, {failed} could not be flown. They took {hours:.2f} hours of one slot on {_machine()}."
+        f"{len(flown)} runs on the seeds {seeds}; {proven} of them were proven to be the same as others, "
+        f"{failed} could not be flown. They took {hours:.2f} hours of one slot on {_machine()}."
     )
     again = f"zenfi study run {study.name}     # at full size\nzenfi study run {SPEC}  # this page again"
     return f"{about}\n\n```\n{again}\n```"
