@@ -34,6 +34,7 @@ COMMANDS = {
     "detect": LazyCommand("detect", "How much of the harm that faults do detectors catch in time."),
     "doctor": LazyCommand("mission", "Check what this machine allows, and fly once."),
     "down": LazyCommand("stack", "End a stack: its processes in order, then its supervisor."),
+    "evidence": LazyCommand("evidence", "Failures per flight hour by faults, as a file to hand in."),
     "fly": LazyCommand("mission", "Fly one mission; with --fault, its golden twin first."),
     "foxglove": LazyCommand("service", "Show this machine's flights live in Foxglove."),
     "harm": LazyCommand("harm", "Collect the faults that harmed a mission; show them."),

@@ -95,6 +95,29 @@ def quality(title: str, lines: Sequence[CellSummary]) -> Figure:
     return figure
 
 
+def rates(rows: Sequence[tuple[str, float, float]], target: float | None) -> Figure:
+    """Names, rates and their upper bounds, per hour, on a logarithmic axis; with the rate to stay below.
+
+    :raises BadSpecError: if matplotlib is not installed.
+    """
+    figure = _figure(8.0, 1.2 + 0.35 * len(rows), "failures per flight hour: estimate, and its bound")
+    axis = figure.subplots()
+    least = min(bound for _, _, bound in rows) / 100
+    for place, (_, rate, bound) in enumerate(rows):
+        axis.plot([max(rate, least), bound], [place, place], color=TWIN, linewidth=2)
+        axis.plot([bound], [place], "|", color=TWIN, markersize=12)
+        if rate:
+            axis.plot([rate], [place], "o", color=FLOWN)
+    if target is not None:
+        axis.axvline(target, color=FAULT, linestyle=":", label="target")
+        axis.legend()
+    names = [name for name, _, _ in rows]
+    axis.set(xscale="log", ylim=(len(rows) - 0.5, -0.5), yticks=range(len(rows)), yticklabels=names)
+    axis.set_xlabel("failures per flight hour")
+    axis.grid(axis="x", alpha=0.3)
+    return figure
+
+
 def _figure(width: float, height: float, title: str) -> Figure:
     """A figure of so many inches that belongs to nobody: pyplot would keep every one."""
     made = _shown_figure()(figsize=(width, height), layout="constrained")

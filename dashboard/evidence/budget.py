@@ -30,13 +30,14 @@ class Stated(Strict):
 
 
 class Element(Strict):
-    """Something that upsets strike, and the cell of a campaign whose faults stand for them.
+    """Something that upsets strike, and the cell of a campaign whose faults stand for them; '' is any.
 
     ``fit``: upsets of the whole element in 1e9 hours at the reference flux. ``flux``: times the reference.
     ``share``: the part of the time in which it holds what the cell's faults strike.
     """
 
     name: str = Field(min_length=1)
+    campaign: str = ""
     arm: str = ""
     world: str = ""
     fault: str = ""

@@ -1577,6 +1577,34 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "dashboard/evidence/counts.py",
+        "tests/dashboard/evidence/test_counts.py",
+        (
+            "evidence: cells of several arms are taken together",
+            "    if len(cells) > 1:",
+            "    if len(cells) > 99:",
+        ),
+        (
+            "evidence: a fault that struck nothing counts as benign",
+            'elif run.result.injection != "injected":',
+            "elif not run.result.injection:",
+        ),
+        (
+            "evidence: harm that no message shows has not manifested",
+            "sum(one.manifested or bool(one.result.harm) for one in self.strikes)",
+            "sum(one.manifested for one in self.strikes)",
+        ),
+    ),
+    *_of(
+        "dashboard/evidence/ledger.py",
+        "tests/dashboard/evidence/test_ledger.py",
+        (
+            "evidence: the bound is that of no strike less",
+            "generator.beta(found + 1, of - found, draws)",
+            "generator.beta(found + 0.5, of - found + 0.5, draws)",
+        ),
+    ),
+    *_of(
         "injector/program/counted_program.py",
         "tests/injector/program/test_counted_program.py",
         (

@@ -37,3 +37,13 @@ def test_propagation_has_a_panel_for_each_topic_that_strayed(flights: dict[str, 
 
 def test_an_empty_campaign_is_drawn() -> None:
     assert len(plots.quality("empty", []).axes) == 2
+
+
+def test_rates_are_drawn_with_their_bounds_and_the_target() -> None:
+    figure = plots.rates([("control", 1e-9, 1e-8), ("planning", 0.0, 1e-10)], 1e-7)
+    (axis,) = figure.axes
+    assert [label.get_text() for label in axis.get_yticklabels()] == ["control", "planning"]
+    assert axis.get_xlim()[1] > 1e-7
+    ends = [list(np.asarray(line.get_xdata())) for line in axis.lines]
+    assert [1e-9, 1e-8] in ends
+    assert [0.0] not in ends
