@@ -34,7 +34,7 @@ COMMANDS = {
     "detect": LazyCommand("detect", "How much of the harm that faults do detectors catch in time."),
     "doctor": LazyCommand("mission", "Check what this machine allows, and fly once."),
     "down": LazyCommand("stack", "End a stack: its processes in order, then its supervisor."),
-    "evidence": LazyCommand("evidence", "Failures per flight hour by faults, as a file to hand in."),
+    "evidence": LazyCommand("studies.evidence", "Failures per flight hour by faults, as a file to hand in."),
     "fly": LazyCommand("mission", "Fly one mission; with --fault, its golden twin first."),
     "foxglove": LazyCommand("service", "Show this machine's flights live in Foxglove."),
     "harm": LazyCommand("harm", "Collect the faults that harmed a mission; show them."),
@@ -52,7 +52,9 @@ COMMANDS = {
     "serve": LazyCommand("service", "Serve dashboard and REST API, and fly what is asked for."),
     "stop": LazyCommand("stack", "Stop processes of a stack."),
     "store": LazyCommand("campaign", "The place where campaigns are: backup, restore, check."),
-    "study": LazyCommand("study", "Experiments of the paper and of ours: flown, judged, written as pages."),
+    "study": LazyCommand(
+        "studies.study", "Experiments of the paper and of ours: flown, judged, written as pages."
+    ),
     "token": LazyCommand("service", "The token that requests to the service must bear."),
     "train": LazyCommand("train", "Train and evaluate anomaly detectors."),
     "up": LazyCommand("stack", "Start a stack's processes and supervise them."),

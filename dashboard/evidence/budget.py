@@ -52,7 +52,7 @@ class Element(Strict):
         return self
 
 
-class Budget(Strict):
+class UpsetBudget(Strict):
     """What a claim is made of. ``target_per_hour``: the failures in a flight hour that it allows."""
 
     name: str = Field(min_length=1)
@@ -70,13 +70,13 @@ class Budget(Strict):
         return self
 
 
-def load_budget(path: Path) -> Budget:
-    """The budget in a TOML file.
+def load_budget(path: Path) -> UpsetBudget:
+    """Read a budget of upsets from a TOML file.
 
     :raises BadSpecError: if there is none, naming the file and what is wrong.
     """
     try:
-        return Budget.model_validate(tomllib.loads(path.read_text()))
+        return UpsetBudget.model_validate(tomllib.loads(path.read_text()))
     except OSError as error:
         message = f"{path}: {error.strerror}"
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

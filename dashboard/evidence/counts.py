@@ -17,7 +17,7 @@ Flown = tuple[CampaignEntry, Sequence[FlightRecord]]
 """A campaign and its runs."""
 
 
-class Strike(NamedTuple):
+class InjectedRun(NamedTuple):
     """A run whose fault was there when read back, and its result."""
 
     campaign: CampaignEntry
@@ -39,13 +39,13 @@ class ElementStrikes:
     """
 
     element: Element
-    strikes: Sequence[Strike]
+    strikes: Sequence[InjectedRun]
     not_injected: int
     failed: int
     not_judged: int
 
     @property
-    def harmful(self) -> list[Strike]:
+    def harmful(self) -> list[InjectedRun]:
         """The strikes that harmed a mission, in the order of campaigns and runs."""
         return [one for one in self.strikes if one.result.harm]
 
@@ -83,7 +83,7 @@ def strikes_of(element: Element, campaigns: Sequence[Flown]) -> ElementStrikes:
         elif run.result.harm is None:
             not_judged += 1
         else:
-            strikes.append(Strike(campaign, run, run.result))
+            strikes.append(InjectedRun(campaign, run, run.result))
     return ElementStrikes(element, strikes, not_injected, failed, not_judged)
 
 

@@ -14,8 +14,8 @@ from dashboard.campaigns.statistics.proportions import median_interval
 from dashboard.campaigns.store.listing import stored_run
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
-from dashboard.evidence.budget import Budget
-from dashboard.evidence.counts import ElementStrikes, Flown, Strike, strikes_of
+from dashboard.evidence.budget import UpsetBudget
+from dashboard.evidence.counts import ElementStrikes, Flown, InjectedRun, strikes_of
 from dashboard.evidence.coverage import DiagnosticCoverage, coverages
 from dashboard.evidence.ledger import LedgerLine, reckon
 from services.models.base import Strict
@@ -100,7 +100,7 @@ class Evidence(Strict):
     rate_per_hour: float
     bound_per_hour: float
     more_strikes: int | None
-    budget: Budget
+    budget: UpsetBudget
     lines: list[LineEvidence]
     margins: list[Margin]
     dominant: list[HarmfulStrike]
@@ -113,7 +113,7 @@ class Evidence(Strict):
         return None if self.target_per_hour is None else self.bound_per_hour <= self.target_per_hour
 
 
-def gather(store: Store, campaigns: Sequence[CampaignEntry], budget: Budget) -> Evidence:
+def gather(store: Store, campaigns: Sequence[CampaignEntry], budget: UpsetBudget) -> Evidence:
     """All that the campaigns in a store say of a budget.
 
     :raises BadSpecError: if an element names no cell of theirs, or several.
@@ -174,7 +174,7 @@ def _margin(element: str, faults: Sequence[HarmfulStrike]) -> Margin:
     )
 
 
-def _fault(store: Store, of: ElementStrikes, strike: Strike, rate_per_hour: float) -> HarmfulStrike:
+def _fault(store: Store, of: ElementStrikes, strike: InjectedRun, rate_per_hour: float) -> HarmfulStrike:
     stored = stored_run(store, strike.campaign, strike.run.id)
     assert stored is not None  # noqa: S101 - its result was read from the same store
     assert stored.outcome is not None  # noqa: S101

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dashboard.campaigns.statistics.proportions import Interval, clopper_pearson
-from dashboard.evidence.budget import Budget, Element, Stated
+from dashboard.evidence.budget import Element, Stated, UpsetBudget
 
 HOURS = 1e9
 """In which a FIT is one failure."""
@@ -66,7 +66,7 @@ class Ledger:
     more_strikes: int | None
 
 
-def reckon(budget: Budget, counts: Sequence[StrikeCounts], seed: int = 0) -> Ledger:
+def reckon(budget: UpsetBudget, counts: Sequence[StrikeCounts], seed: int = 0) -> Ledger:
     """The ledger of a budget; ``counts`` are those of its elements, in their order."""
     drawn = _drawn(budget, counts, seed)
     lines = tuple(
@@ -93,7 +93,7 @@ def _upsets_per_hour(element: Element) -> float:
     return element.fit.value / HOURS * element.flux.value * element.share.value
 
 
-def _drawn(budget: Budget, counts: Sequence[StrikeCounts], seed: int) -> NDArray[np.float64]:
+def _drawn(budget: UpsetBudget, counts: Sequence[StrikeCounts], seed: int) -> NDArray[np.float64]:
     """Draws (elements, draws) of rates, 1/h. Each line draws by itself: one more moves no other."""
     rows = []
     for number, (element, one) in enumerate(zip(budget.elements, counts, strict=True)):
@@ -121,7 +121,7 @@ def _counted(found: int, of: int, draws: int, generator: np.random.Generator) ->
     return generator.beta(found + 1, of - found, draws)
 
 
-def _more_strikes(budget: Budget, counts: Sequence[StrikeCounts], seed: int, bound: float) -> int | None:
+def _more_strikes(budget: UpsetBudget, counts: Sequence[StrikeCounts], seed: int, bound: float) -> int | None:
     """By bisection over how many times the benign strikes are made again."""
     target = budget.target_per_hour
     if target is None:

@@ -24,7 +24,7 @@ _OF_A_STORE = {"label", "campaign", "replay", "replays", "flown", "proven", "run
 
 
 def rebuild(folder: Path, fly: Fly) -> list[str]:
-    """Fly all campaigns of a folder that :func:`report.write` made; which figures differ, each in a line.
+    """Fly all campaigns of a folder that ``zenfi evidence`` wrote; which figures differ, each in a line.
 
     :raises BadSpecError: if it is no such folder.
     """
@@ -42,7 +42,7 @@ def rebuild(folder: Path, fly: Fly) -> list[str]:
 
 
 def read(folder: Path) -> Evidence:
-    """The document in a folder.
+    """Read the evidence that is kept in a folder.
 
     :raises BadSpecError: if there is none.
     """

@@ -16,7 +16,7 @@ from dashboard.campaigns.results.compare import Comparison
 from dashboard.campaigns.results.summary import CellSummary
 from dashboard.campaigns.statistics.proportions import Interval
 from dashboard.campaigns.store.queries import CampaignEntry
-from dashboard.studies.study import Study
+from dashboard.studies.study import MissionStudy
 from dashboard.studies.verdict import Judged, in_words, judge
 from deploy.errors import BadSpecError
 
@@ -42,7 +42,7 @@ class StudyResults(NamedTuple):
     compared: Sequence[Comparison]
 
 
-def write(folder: Path, study: Study, results: StudyResults) -> None:
+def write(folder: Path, study: MissionStudy, results: StudyResults) -> None:
     """Write everything that a study has found into a folder, which is made.
 
     :raises BadSpecError: if it cannot be written, or a package that draws or writes tables is not installed.
@@ -63,7 +63,7 @@ def write(folder: Path, study: Study, results: StudyResults) -> None:
         raise BadSpecError(message) from error
 
 
-def page(study: Study, results: StudyResults, found: Sequence[Judged]) -> str:
+def page(study: MissionStudy, results: StudyResults, found: Sequence[Judged]) -> str:
     """The page of a study: what was asked and flown, the paper's numbers beside ours, all cells."""
     parts = [f"# {study.title}", study.about, _made(study, results), f"![success and flight time]({FIGURE})"]
     if found:
@@ -72,7 +72,7 @@ def page(study: Study, results: StudyResults, found: Sequence[Judged]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _made(study: Study, results: StudyResults) -> str:
+def _made(study: MissionStudy, results: StudyResults) -> str:
     """How many flights of which seeds, on what machine, in which time, and the command."""
     spec = results.campaign.spec
     flown = [one.result for one in results.records if one.result is not None]

@@ -11,7 +11,7 @@ from dashboard.campaigns.presets import presets
 from dashboard.studies.paper import FINDINGS, STUDIES, PaperValue
 
 
-class Study(NamedTuple):
+class MissionStudy(NamedTuple):
     """An experiment that is flown by the preset of its name.
 
     ``against`` is the arm beside which the others are compared, None for the golden twins.
@@ -51,6 +51,6 @@ _BESIDE = {
 OURS = ("guards", "difficulty", "wind", "recovery")
 """The studies that the paper has not."""
 
-TABLE: Mapping[str, Study] = MappingProxyType(
-    {name: Study(name, _BESIDE.get(name)) for name in (*STUDIES, *OURS)}
+TABLE: Mapping[str, MissionStudy] = MappingProxyType(
+    {name: MissionStudy(name, _BESIDE.get(name)) for name in (*STUDIES, *OURS)}
 )

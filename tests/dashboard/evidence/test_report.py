@@ -5,7 +5,7 @@ import re
 import pytest
 
 from dashboard.evidence import report
-from dashboard.evidence.budget import Budget, Element, Stated
+from dashboard.evidence.budget import Element, Stated, UpsetBudget
 from dashboard.evidence.evidence import Evidence, HarmfulStrike, LineEvidence, Margin
 
 SOURCE = "<script>alert('source')</script>"
@@ -13,7 +13,9 @@ SOURCE = "<script>alert('source')</script>"
 
 def evidence(bound: float, more: int | None, target: float | None = 1e-6) -> Evidence:
     known = Stated(value=20.0, low=5.0, high=80.0, source=SOURCE)
-    budget = Budget(name="delivery", elements=(Element(name="control", fit=known, flux=known, share=PART),))
+    budget = UpsetBudget(
+        name="delivery", elements=(Element(name="control", fit=known, flux=known, share=PART),)
+    )
     line = LineEvidence(
         element="control",
         struck=30,

@@ -17,7 +17,7 @@ from dashboard.campaigns.results.summary import summary
 from dashboard.campaigns.spec import CampaignSpec, load_campaign
 from dashboard.campaigns.store.store import Store
 from dashboard.studies import folder
-from dashboard.studies.study import TABLE, Study
+from dashboard.studies.study import TABLE, MissionStudy
 from dashboard.terminal.options import as_json, in_store
 from deploy.errors import BadSpecError
 from zenfi.campaign import Campaign, StoredCampaign
@@ -90,8 +90,8 @@ def run(
     click.echo(f"{target / folder.PAGE}: {len(records)} runs of {label}")
 
 
-def find(spec: CampaignSpec) -> Study:
-    """The study of a campaign.
+def find(spec: CampaignSpec) -> MissionStudy:
+    """The study whose flights a campaign has.
 
     :raises BadSpecError: if it is of none.
     """
