@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from services.bus import frames
-from services.bus.arrays import Floats, place, plan_message, sound_goal, sound_task, state, verdict
+from services.bus.arrays import Floats, Plan, place, plan_message, sound_goal, sound_task, state, verdict
 from services.bus.detector_protocol import shown_trajectory
 from services.bus.messages import header
 from services.bus.octomaps import MalformedMap, sound_map
@@ -74,7 +74,10 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
                     # No kernel runs, but nobody may see a trajectory sooner than one could.
                     made_after = node.spec.kernels_before(TOPICS["trajectory"])
                     node.now_ns += sum(node.timer.latency(name).least_ns for name in made_after)
-                    node.put("trajectory", plan_message(header(node.now_ns, frames.MAP), opening))
+                    _, hover = node.recovery.sound(
+                        "trajectory", partial(opened, node, opening), lambda sent: sent, shown_trajectory
+                    )
+                    node.put("trajectory", hover)
                     continue
                 request = navigator.consider(node.now_ns / 1e9, now.position, now.velocity, now.yaw, found)
                 node.guards.take(navigator.acted)
@@ -93,6 +96,11 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
             )
             message.failed = navigator.answer(request, points).failed
             node.put("trajectory", message)
+
+
+def opened(node: Node, opening: Plan) -> Any:
+    """The message of what a pilot flies first."""
+    return plan_message(header(node.now_ns, frames.MAP), opening)
 
 
 def guided(

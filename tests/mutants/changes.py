@@ -1391,6 +1391,15 @@ MUTANTS: list[Mutant] = [
         ("league: half of an answer counts", 'line if line.endswith(b"\\n") else b""', "line"),
     ),
     *_of(
+        "services/planning/node.py",
+        "tests/deploy/mission/test_reexecution.py",
+        (
+            "reexecution: what a pilot flies first is judged by nobody",
+            'node.put("trajectory", hover)',
+            'node.put("trajectory", opened(node, opening))',
+        ),
+    ),
+    *_of(
         "services/recovery/reexecution.py",
         "tests/services/recovery/test_reexecution.py",
         (

@@ -11,7 +11,7 @@ from deploy.mission.fork_server import ForkServer
 from deploy.pairing.golden_twin import PairFlyer
 from services.bus.topics import published_by
 from services.kernels import KERNELS
-from services.models.faults.specification import FaultSpec
+from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
 
@@ -69,6 +69,18 @@ def test_the_output_that_a_fault_changed_differs_and_no_other(
     assert alarm.virtual_time_ns == outcome.injection.virtual_time_ns
     asked = outcome.spec.model_copy(update={"detector": None})
     assert fly(asked, server).outcome.digest == outcome.digest
+
+
+def test_what_a_pilot_flies_first_is_made_twice_too(server: ForkServer) -> None:
+    fault = FaultSpec(level="source", target="trajectory.x", bit_numbers=(51,), trigger=Trigger(invocation=0))
+    pace = {"take_off_s": 1.0, "look_round_s": 1.0, "plan_wait_s": 1.0}
+    spec = mission(pilot="baseline", pace=pace, fault=fault, detector={"scheme": "reexecution"})
+    outcome = PairFlyer(server).fly(spec)
+    assert outcome.detection is not None
+    (alarm,) = outcome.detection.alarms
+    assert (alarm.topic, alarm.action, alarm.true) == ("trajectory", "recomputed", True)
+    assert outcome.golden is not None
+    assert outcome.qof.distance_m == pytest.approx(outcome.golden.qof.distance_m, abs=0.5)
 
 
 def test_a_struck_command_is_made_again_and_never_flown(server: ForkServer) -> None:
