@@ -20,6 +20,9 @@ from detector.evaluation.coverage import Coverage, FaultVerdict, JudgedFlight, a
 from detector.series.series import Series
 from services.recovery.reexecution import SCHEME as REEXECUTION
 
+KEYS = {"pilot": "pilot", "class": "fault_class", "struck": "target", "led to harm": "cause"}
+"""What faults are grouped by: the heads of columns, and the fields of their reports."""
+
 BOUNDS = (0.95, 0.99)
 """Levels of the one-sided lower bounds of coverage."""
 
@@ -32,6 +35,12 @@ _LEGEND = (
     "with the tenth and the ninetieth percentile: from the fault to the alarm, and from the alarm to the\n"
     "harm. Compute is virtual time on the flights' platform; that of re-execution is the kernels' second\n"
     "run."
+)
+_CAUSES = (
+    "Data: the stage went on with wrong data. Crash and hang: it died or hung, of which a supervisor hears\n"
+    "at once; a detector hears only of what is wrong before. Of faults that stay, re-execution finds what a\n"
+    "copy finds that the fault does not strike, as on a second unit; on the same one both would be wrong\n"
+    "alike."
 )
 _HEADS = (
     "scheme",
@@ -150,7 +159,8 @@ def show(console: Console, found: Sequence[SchemeCoverage]) -> None:
         title = f"harmful faults caught before they harm, at {budget.words}"
         console.print(_table(title, heads, rows, left=1))
     title = f"caught in time, at {BUDGETS[0].words}"
-    console.print(_table(title, *_by_class(found), left=3))
+    keys = ("class", "struck")
+    console.print(_table(title, *_by(keys, found), left=len(keys)))
 
 
 def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str]], left: int) -> Table:
@@ -182,8 +192,11 @@ def write(
         f"```\nzenfi harm collect LABEL --output harmful.jsonl\n{_RECORD}\n{command}\n```",
         f"{counted} that set no limit.",
         _markdown(_HEADS, _rows(found)),
+        f"## By what led to the harm, {BUDGETS[0].words}",
+        _CAUSES,
+        _markdown(*_by(("led to harm",), found)),
         f"## By what was struck, {BUDGETS[0].words}",
-        _markdown(*_by_class(found)),
+        _markdown(*_by(("pilot", "class", "struck", "led to harm"), found)),
     ]
     try:
         path.write_text("\n\n".join(parts) + "\n")
@@ -243,20 +256,22 @@ def _quantiles(values: Sequence[float]) -> str:
     return f"{middle:.1f} ({low:.1f} to {high:.1f})"
 
 
-def _by_class(found: Sequence[SchemeCoverage]) -> tuple[list[str], list[list[str]]]:
-    """A row for each pilot, class and target: how many faults there are, and how many each scheme caught."""
+def _by(keys: Sequence[str], found: Sequence[SchemeCoverage]) -> tuple[list[str], list[list[str]]]:
+    """A row for each combination of some keys: how many faults there are, and how many each scheme caught."""
     verdicts = [one.at[0][1].verdicts for one in found]
-    heads = ["pilot", "class", "struck", "faults", *(one.scheme for one in found)]
-    keys = sorted({_key(one) for one in verdicts[0]}) if verdicts else []
-    return heads, [[*key, *_counted(verdicts, key)] for key in keys]
+    heads = [*keys, "faults", *(one.scheme for one in found)]
+    every = sorted({_key(one, keys) for one in verdicts[0]}) if verdicts else []
+    return heads, [[*key, *_counted(verdicts, keys, key)] for key in every]
 
 
-def _key(one: FaultVerdict) -> tuple[str, str, str]:
-    return one.harm.pilot, one.harm.fault_class, one.harm.target
+def _key(one: FaultVerdict, keys: Sequence[str]) -> tuple[str, ...]:
+    return tuple(str(getattr(one.harm, KEYS[name])) for name in keys)
 
 
-def _counted(verdicts: Sequence[Sequence[FaultVerdict]], key: tuple[str, str, str]) -> Iterator[str]:
-    those = [[one for one in of_scheme if _key(one) == key] for of_scheme in verdicts]
+def _counted(
+    verdicts: Sequence[Sequence[FaultVerdict]], keys: Sequence[str], key: tuple[str, ...]
+) -> Iterator[str]:
+    those = [[one for one in of_scheme if _key(one, keys) == key] for of_scheme in verdicts]
     yield str(len(those[0]))
     for of_scheme in those:
         yield str(sum(one.in_time for one in of_scheme))

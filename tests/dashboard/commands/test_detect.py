@@ -68,7 +68,8 @@ def test_schemes_are_compared_at_the_same_false_alarms(recorded: Path, tmp_path:
             caught = sum(fault["in_time"] for fault in one["faults"])
             assert one["caught_in_time"] == caught
             assert one["bounds"]["0.95"] == pytest.approx((0.0, 1 - 0.95**0.5, 0.05**0.5)[caught])
-    assert "| guarded | permanent | command.velocity | 2 |" in page.read_text()
+    assert "\n| data | 2 |" in page.read_text()
+    assert "| guarded | permanent | command.velocity | data | 2 |" in page.read_text()
 
 
 def test_variants_of_the_papers_schemes_are_judged_alike(recorded: Path, tmp_path: Path) -> None:
