@@ -138,14 +138,15 @@ def limit_within(flights: Sequence[JudgedFlight], rate: float) -> float:
 def limit_beyond(largest: Floats, rate: float) -> float:
     """The limit that a part ``rate`` of flights exceeds if ``largest`` (n,), falling, has a Pareto tail.
 
-    The tail's index is Hill's (1975), of the first tenth. It is no promise: of that few flights nobody can
-    tell. At least the largest score.
+    The tail's index is Hill's (1975), of the first tenth: at its upper bound with a confidence of 1 -
+    ``RISK``, as n of them are over the true index a gamma variable of shape n. Whether the scores follow
+    that law, so few flights cannot tell. At least the largest score.
     """
     top = max(int(TAIL * len(largest)), 1)
     begin = float(largest[min(top, len(largest) - 1)])
     if begin <= 0.0 or not np.isfinite(largest[0]):
         return float(largest[0])
-    index = float(np.log(largest[:top] / begin).mean())
+    index = float(np.log(largest[:top] / begin).sum() / scipy.stats.gamma.ppf(RISK, top))
     expected = rate * len(largest)
     return max(float(largest[0]), begin * (top / expected) ** index) if expected else np.inf
 
