@@ -1,6 +1,7 @@
 """An output that is found wrong is made again, so many times and no more, and every time is counted."""
 
 from collections import Counter
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 from services.bus.arrays import Floats
 from services.bus.detector_protocol import DetectorReply, answer, asked
 from services.bus.proxy_link import Digest
-from services.models.detection import AlarmRecord, DetectorSpec
+from services.models.detection import AlarmRecord, DetectorSpec, Fallback
 from services.recovery.recovery import Recovery
 
 CHECK_NS, MAKE_NS = 7, 1000
@@ -146,11 +147,12 @@ ALARMED = 2
 @pytest.mark.parametrize("retries", [0, 1])
 def test_what_stays_alarmed_is_replaced(fallback: str, published: int, action: str, retries: int) -> None:
     spec = DetectorSpec.model_validate({"scheme": "any", "retries": retries, "control": fallback})
-    stage, undone = Control(0), []
+    stage = Control(0)
+    undone: list[bool] = []
     recovery = Recovery(stage, spec)
+    instead: dict[Fallback, Callable[[], int]] = {"stop": lambda: -7, "simple": lambda: -8}
 
     def publish() -> int:
-        instead = {"stop": lambda: -7, "simple": lambda: -8}
         undo = partial(undone.append, True)
         made, sent = recovery.sound("command", stage.compute, str, shown, stage.skip, instead, undo)
         assert sent == str(made)
