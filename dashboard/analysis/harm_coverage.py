@@ -13,7 +13,7 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from dashboard.campaigns.statistics.proportions import clopper_pearson
+from dashboard.campaigns.statistics.proportions import clopper_pearson, lower_bound
 from deploy.config.platform import load_platform
 from deploy.errors import BadSpecError
 from detector.evaluation.coverage import Coverage, FaultVerdict, JudgedFlight, at_budget
@@ -105,11 +105,6 @@ def _compute_s(scheme: str, flight: Series) -> float | None:
         return float(flight.about["kernels_s"])
     check = load_platform(flight.spec.platform).detectors.get(scheme)
     return None if check is None else check.mean_ms / 1e3 * sum(map(len, flight.checks.values()))
-
-
-def lower_bound(found: int, of: int, level: float) -> float:
-    """The one-sided Clopper-Pearson bound of a proportion: above it with confidence ``level``."""
-    return clopper_pearson(found, of, 2 * level - 1).low
 
 
 def events_interval(events: int, level: float = 0.95) -> tuple[float, float]:

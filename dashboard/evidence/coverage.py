@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from dashboard.campaigns.flight_record import FlightRecord
 from dashboard.campaigns.spec import unprotected_arms
-from dashboard.campaigns.statistics.proportions import clopper_pearson
+from dashboard.campaigns.statistics.proportions import lower_bound
 from dashboard.campaigns.store.listing import stored_run
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
@@ -66,7 +66,7 @@ def _coverage(
     confidence: float,
 ) -> DiagnosticCoverage:
     caught = sum(_is_in_time(store, campaign, bare, watched) for bare, watched in pairs)
-    averted = sum(watched.result is not None and watched.result.harm == "" for _, watched in pairs)
+    averted = sum(is_averted(watched) for _, watched in pairs)
     return DiagnosticCoverage(
         campaign=campaign.label,
         arm=arm,
@@ -77,6 +77,12 @@ def _coverage(
         averted=averted,
         averted_low=lower_bound(averted, len(pairs), confidence),
     )
+
+
+def is_averted(watched: FlightRecord) -> bool:
+    """Whether the fault struck a flight with the detector and did not harm it."""
+    found = watched.result
+    return found is not None and found.injection == "injected" and found.harm == ""
 
 
 def _is_in_time(store: Store, campaign: CampaignEntry, bare: FlightRecord, watched: FlightRecord) -> bool:
@@ -95,8 +101,3 @@ def _scheme(campaign: CampaignEntry, arm: str) -> str:
     own = (changes.get("detector") or {}).get("scheme")
     everywhere = campaign.spec.mission.detector
     return str(own or (everywhere.scheme if everywhere is not None else ""))
-
-
-def lower_bound(found: int, of: int, confidence: float) -> float:
-    """The one-sided lower bound of a share (Clopper and Pearson)."""
-    return clopper_pearson(found, of, 2 * confidence - 1).low

@@ -80,6 +80,11 @@ def clopper_pearson(successes: int, trials: int, level: float = 0.95) -> Interva
     return Interval(float(interval.low), float(interval.high))
 
 
+def lower_bound(found: int, of: int, level: float) -> float:
+    """The one-sided Clopper-Pearson bound of a proportion: above it with confidence ``level``."""
+    return clopper_pearson(found, of, 2 * level - 1).low
+
+
 def median_interval(values: Sequence[float] | NDArray[np.float64], level: float = 0.95) -> Interval | None:
     """The interval of a median of ``values`` (n,), in their unit; of any continuous distribution.
 

@@ -9,6 +9,7 @@ from dashboard.campaigns.statistics.proportions import (
     Pairs,
     clopper_pearson,
     holm,
+    lower_bound,
     mcnemar,
     newcombe,
     newcombe_paired,
@@ -161,3 +162,10 @@ def test_newcombe_paired_covers(trials: int) -> None:
         pairs = Pairs(*(int(count) for count in draw.multinomial(trials, cells)))
         hits.append(_covers(newcombe_paired(pairs), cells[1] - cells[2]))
     assert HONEST[0] <= np.mean(hits) <= HONEST[1]
+
+
+def test_the_bound_of_a_claim_is_one_sided() -> None:
+    assert lower_bound(300, 300, 0.95) == pytest.approx(0.05 ** (1 / 300))
+    assert lower_bound(300, 300, 0.99) == pytest.approx(0.01 ** (1 / 300))
+    assert lower_bound(0, 300, 0.95) == 0.0
+    assert lower_bound(8, 10, 0.95) == pytest.approx(0.4931, abs=5e-5)
