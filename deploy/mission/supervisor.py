@@ -28,8 +28,8 @@ from services.system.process_stat import is_stopped, main_thread_stat, process_s
 from services.system.shared_stats import COMPUTING, MESSAGING, WAITING, SharedStats
 from services.system.signal_names import signal_name
 
-STOP_S = 5.0
-"""Longest wait for what was killed to be gone."""
+LEFT_S = 300.0
+"""Longest wait for the processes of a mission that is over, killed ones included."""
 
 
 @dataclass
@@ -247,19 +247,25 @@ class Supervisor:
         """Wait for the members to end by themselves, calling ``meanwhile`` again and again; kill the rest.
 
         One at the injector's gate has so long from when it has passed.
+
+        :raises InfrastructureError: if one is left for ever, as if its proxy is stopped.
         """
-        deadline = time.monotonic() + grace_s
-        while any(member.alive for member in self.members.values()):
-            if any(one.alive and one.stats.page["gated"] for one in self.members.values()):
-                deadline = max(deadline, time.monotonic() + grace_s)
-            if time.monotonic() > deadline:
-                for member in self.members.values():
-                    if member.alive:
-                        member.kill()
-                deadline = float("inf")
+        begin_s = time.monotonic()
+        deadline_s, killed = begin_s + grace_s, False
+        while left := [member for member in self.members.values() if member.alive]:
+            now_s = time.monotonic()
+            if now_s > begin_s + LEFT_S:
+                names = ", ".join(member.process.name for member in left)
+                raise InfrastructureError(f"{names}: not gone {LEFT_S:g} s after the mission")
+            if any(one.stats.page["gated"] for one in left):
+                deadline_s = now_s + grace_s
+            if now_s > deadline_s and not killed:
+                for member in left:
+                    member.kill()
+                killed = True
             for exited in self._server.exits():
-                for member in self.members.values():
-                    if member.alive and member.pid == exited.pid:
+                for member in left:
+                    if member.pid == exited.pid:
                         member.buried()
             meanwhile()
 
@@ -268,9 +274,11 @@ class Supervisor:
         for member in self.members.values():
             if member.alive:
                 self._server.discard(member.pid)
-        self.end(STOP_S, lambda: time.sleep(0.001))
-        for member in self.members.values():
-            member.stats.close()
+        try:
+            self.end(0.0, lambda: time.sleep(0.001))
+        finally:
+            for member in self.members.values():
+                member.stats.close()
 
 
 def _ended_from_outside(member: SupervisedNode, exited: Exited) -> str:

@@ -275,6 +275,15 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "deploy/mission/supervisor.py",
+        "tests/deploy/mission/test_flight.py",
+        (
+            "supervisor: what was killed is waited for without end",
+            "            if now_s > begin_s + LEFT_S:\n",
+            "            if now_s > begin_s + 1000 * LEFT_S:\n",
+        ),
+    ),
+    *_of(
         "deploy/mission/silence.py",
         "tests/deploy/mission/test_silence.py",
         ("silence: who computes is to blame", " or not computes(self._watched.pids())", " or True"),

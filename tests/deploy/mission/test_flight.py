@@ -2,15 +2,16 @@
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import pytest
 
-from deploy.errors import DisturbedFlightError
-from deploy.mission import silence
+from deploy.errors import DisturbedFlightError, InfrastructureError
+from deploy.mission import silence, supervisor
 from deploy.mission.flight import FlownMission, fly
 from deploy.mission.fork_server import ForkServer
+from deploy.mission.supervisor import Supervisor
 from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import Limits, MissionSpec
 from services.system.signal_names import signal_name
@@ -133,6 +134,23 @@ def test_a_proxy_that_somebody_stops_makes_no_outcome(
 
     with pytest.raises(DisturbedFlightError, match="the proxy of planning was stopped from outside"):
         fly_and(server, SPEC.model_copy(update={"fault": never}), stop)
+    assert_nothing_is_left(server)
+
+
+def test_a_proxy_that_somebody_stops_once_the_mission_is_over_is_not_waited_for_without_end(
+    server: ForkServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    until_all_ended = Supervisor.end
+    monkeypatch.setattr(supervisor, "LEFT_S", 3.0)
+
+    def end(self: Supervisor, grace_s: float, meanwhile: Callable[[], object]) -> None:
+        for pid in (pid for pid, name in descendants(os.getpid()).items() if name == "proxy-planning"):
+            os.kill(pid, signal.SIGSTOP)
+        until_all_ended(self, grace_s, meanwhile)
+
+    monkeypatch.setattr(Supervisor, "end", end)
+    with pytest.raises(InfrastructureError, match="planning: not gone 3 s after the mission"):
+        fly(SPEC, server)
     assert_nothing_is_left(server)
 
 
