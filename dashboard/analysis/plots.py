@@ -5,12 +5,13 @@ Each returns a figure, which a notebook shows and ``figure.savefig`` writes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from io import BytesIO
 from typing import TYPE_CHECKING, Any
 
 from dashboard.analysis.extras import installed
+from dashboard.analysis.kernel_study import OutcomeShare
 from dashboard.analysis.plan import Rectangle, shapes
 from dashboard.analysis.propagation import picture
 from dashboard.analysis.recordings_reader import FlightRecording
@@ -24,6 +25,15 @@ if TYPE_CHECKING:
 
 FLOWN, TWIN, FAULT = "#c0392b", "#4a6fa5", "#e67e22"
 """Colours of a flight, its golden twin, and the moment of the fault."""
+
+OUTCOME_COLOURS = {
+    "benign": "#9db4ab",
+    "sdc": "#e67e22",
+    "detected": "#4a6fa5",
+    "crash": "#c0392b",
+    "hang": "#5d4157",
+}
+"""Of what became of a struck kernel or program."""
 
 _FEW = 50
 """Fewer points are marked, each."""
@@ -92,6 +102,28 @@ def quality(title: str, lines: Sequence[CellSummary]) -> Figure:
     time.set(xlabel="flight time of successes, median, s")
     for axis in (success, time):
         axis.grid(axis="x", alpha=0.3)
+    return figure
+
+
+def outcomes(title: str, found: Mapping[str, Mapping[str, OutcomeShare]]) -> Figure:
+    """Bars of what became of the faults in each kernel or program, in per cent of the injected.
+
+    :raises BadSpecError: if matplotlib is not installed.
+    """
+    figure = _figure(8.0, 1.6 + 0.4 * max(len(found), 1), title)
+    axis = figure.subplots()
+    begins = [0.0] * len(found)
+    for name, colour in OUTCOME_COLOURS.items():
+        counts = [shares[name].count if name in shares else 0 for shares in found.values()]
+        totals = [max(sum(one.count for one in shares.values()), 1) for shares in found.values()]
+        widths = [100 * count / total for count, total in zip(counts, totals, strict=True)]
+        if any(counts):
+            axis.barh(range(len(found)), widths, left=begins, color=colour, label=name)
+        begins = [begin + width for begin, width in zip(begins, widths, strict=True)]
+    axis.set(xlim=(0, 100), yticks=range(len(found)), yticklabels=list(found), xlabel="of the injected, %")
+    axis.invert_yaxis()
+    if found:
+        figure.legend(loc="outside lower center", ncols=len(OUTCOME_COLOURS))
     return figure
 
 

@@ -219,10 +219,17 @@ def _flown(campaign: CampaignSpec) -> list[tuple[Arm, Condition, MissionSpec]]:
 
 def cells(campaign: CampaignSpec) -> list[Cell]:
     """The names of every cell, in the order of the specification."""
-    return [
-        Cell(arm.name, mission.world_name, condition.name if campaign.faults else "")
-        for arm, condition, mission in _flown(campaign)
-    ]
+    return [cell for cell, _ in mission_cells(campaign)]
+
+
+def mission_cells(campaign: CampaignSpec) -> Iterator[tuple[Cell, MissionSpec]]:
+    """Each cell with the mission of its first run, the fault included."""
+    for arm, condition, mission in _flown(campaign):
+        name = condition.name if campaign.faults else ""
+        yield (
+            Cell(arm.name, mission.world_name, name),
+            mission.model_copy(update={"fault": condition.fault}),
+        )
 
 
 def runs(campaign: CampaignSpec) -> Iterator[Run]:

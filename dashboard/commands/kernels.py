@@ -12,11 +12,11 @@ from rich.console import Console
 from rich.table import Table
 
 from dashboard.analysis.kernel_study import RESULTS, WAYS, KernelSummary, OutcomeShare, divided
+from dashboard.studies.kernels_alone import KERNELS
 from dashboard.terminal.options import as_json
 from injector.kernel_study.results import StudyRun
 from zenfi.kernels import kernel_studies
 
-PAPERS = ("octomap", "rrt", "rrt_connect", "rrt_star", "pid")
 _GROUPS = 12
 
 
@@ -26,7 +26,7 @@ def kernels() -> None:
 
 
 @kernels.command()
-@click.option("--kernel", "names", multiple=True, default=PAPERS, show_default=True, help="Once for each.")
+@click.option("--kernel", "names", multiple=True, default=KERNELS, show_default=True, help="Once for each.")
 @click.option(
     "--injections", type=click.IntRange(1, 1_000_000), default=5000, show_default=True, help="Each."
 )

@@ -83,13 +83,14 @@ def _made(study: MissionStudy, results: StudyResults) -> str:
     seeds = f"{spec.mission.seed} to {last}"
     about = (
         f"{len(flown)} runs on the seeds {seeds}; {proven} of them were proven to be the same as others, "
-        f"{failed} could not be flown. They took {hours:.2f} hours of one slot on {_machine()}."
+        f"{failed} could not be flown. They took {hours:.2f} hours of one slot on {machine()}."
     )
     again = f"zenfi study run {study.name}     # at full size\nzenfi study run {SPEC}  # this page again"
     return f"{about}\n\n```\n{again}\n```"
 
 
-def _machine() -> str:
+def machine() -> str:
+    """The machine on which a page is made, in words: processors, architecture, system."""
     return f"{os.cpu_count()} processors ({platform.machine()}, {platform.system()} {platform.release()})"
 
 

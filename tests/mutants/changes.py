@@ -275,6 +275,34 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "dashboard/studies/ranking.py",
+        "tests/dashboard/studies/test_ranking.py",
+        (
+            "ranks: a fault that did not strike counts as harmless",
+            'or result is None or result.injection != "injected" or result.harm is None:',
+            "or result is None or result.harm is None:",
+        ),
+        (
+            "ranks: the interval takes the rates alone as known",
+            "    for tallies in (alone, flown):\n",
+            "    for tallies in (alone, alone):\n",
+        ),
+    ),
+    *_of(
+        "dashboard/studies/kernels_alone.py",
+        "tests/dashboard/studies/test_kernels_alone.py",
+        (
+            "kernels alone: a rival beyond the interval refutes nothing",
+            "        if farthest < 0:\n",
+            "        if farthest < -1:\n",
+        ),
+        (
+            "kernels alone: overlapping intervals confirm",
+            "        if nearest <= 0:\n",
+            "        if nearest <= -1:\n",
+        ),
+    ),
+    *_of(
         "deploy/mission/supervisor.py",
         "tests/deploy/mission/test_flight.py",
         (

@@ -16,11 +16,15 @@ from dashboard.campaigns.results.compare import side_by_side
 from dashboard.campaigns.results.summary import summary
 from dashboard.campaigns.spec import CampaignSpec, load_campaign
 from dashboard.campaigns.store.store import Store
-from dashboard.studies import folder
+from dashboard.commands.studies.ranks import ranks
+from dashboard.studies import folder, kernels_page
+from dashboard.studies.kernels_alone import TITLE, KernelsAlone, statements
+from dashboard.studies.kernels_alone import load as load_alone
 from dashboard.studies.study import TABLE, MissionStudy
 from dashboard.terminal.options import as_json, in_store
 from deploy.errors import BadSpecError
 from zenfi.campaign import Campaign, StoredCampaign
+from zenfi.kernels import kernel_studies
 
 messages = Console(stderr=True)
 
@@ -34,15 +38,17 @@ def study() -> None:
 @as_json
 def list_(as_json: bool) -> None:
     """The studies, what they are about, and how many numbers of the paper they are held against."""
+    lines: list[tuple[str, str, int]] = [(KernelsAlone().name, TITLE, len(statements({})))]
+    lines += [(one.name, one.title, len(one.findings)) for one in TABLE.values()]
     if as_json:
-        for one in TABLE.values():
-            click.echo(json.dumps({"name": one.name, "title": one.title, "findings": len(one.findings)}))
+        for one in lines:
+            click.echo(json.dumps(dict(zip(("name", "title", "findings"), one, strict=True))))
         return
     table = Table(box=None, pad_edge=False)
     for name in ("study", "paper's numbers", "about"):
         table.add_column(name)
-    for one in TABLE.values():
-        table.add_row(one.name, str(len(one.findings) or ""), one.title)
+    for name, title, findings in lines:
+        table.add_row(name, str(findings or ""), title)
     Console().print(table)
 
 
@@ -63,10 +69,15 @@ def list_(as_json: bool) -> None:
 def run(
     name: str, scale: float, output: Path | None, executor: str | None, slots: int | None, store: str
 ) -> None:
-    """Fly the study NAME, or that of a page's FILE campaign.json, and write its page, tables and figure.
+    """Make the study NAME, or that of a page's FILE, and write its page, tables and figure.
 
-    What the store has of the same specification is not flown again, so an interrupted study goes on.
+    What the store has of the same specification is not flown again, so an interrupted study goes on. FILE is
+    campaign.json; of kernels alone it is kernels.json, and the folder keeps the injections.
     """
+    alone = load_alone(name)
+    if alone is not None:
+        _strike(alone.scaled(scale), output or Path(alone.name), executor, slots)
+        return
     spec = load_campaign(name)
     found = find(spec)
     asked = scaled(spec, scale) if scale != 1 else spec
@@ -90,13 +101,38 @@ def run(
     click.echo(f"{target / folder.PAGE}: {len(records)} runs of {label}")
 
 
+def _strike(asked: KernelsAlone, target: Path, executor: str | None, slots: int | None) -> None:
+    """Strike kernels alone and write their page."""
+    if executor is not None:
+        message = f"--executor: {asked.name} strikes kernels on this machine only; leave it out"
+        raise BadSpecError(message)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        message = f"{target}: {error.strerror}"
+        raise BadSpecError(message) from error
+    studies = kernel_studies(
+        asked.kernels,
+        asked.injections,
+        seed=asked.seed,
+        slots=slots,
+        fault="",
+        output=target / kernels_page.INJECTIONS,
+        progress=True,
+    )
+    found = [kernels_page.StudiedKernel(one.summary, one.runs) for one in studies]
+    kernels_page.write(target, asked, found)
+    attempted = sum(one.summary.attempted for one in found)
+    click.echo(f"{target / folder.PAGE}: {attempted} injections into {len(found)} kernels")
+
+
 def find(spec: CampaignSpec) -> MissionStudy:
     """The study whose flights a campaign has.
 
     :raises BadSpecError: if it is of none.
     """
     if spec.name not in TABLE:
-        message = f"{spec.name}: no study; there are {', '.join(TABLE)}"
+        message = f"{spec.name}: no study; there are {', '.join((KernelsAlone().name, *TABLE))}"
         raise BadSpecError(message)
     return TABLE[spec.name]
 
@@ -106,3 +142,6 @@ def _flown_before(spec: CampaignSpec, store: str) -> str | None:
     with closing(Store(store)) as opened:
         same = [one for one in opened.campaigns() if one.spec == spec and one.phase != "cancelled"]
     return same[-1].label if same else None
+
+
+study.add_command(ranks)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from nicegui import ui
@@ -13,6 +12,8 @@ from dashboard.campaigns.flight_record import FlightRecord
 from dashboard.campaigns.statistics.proportions import Interval
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
+from dashboard.studies import kernels_alone
+from dashboard.studies.kernels_alone import counts_of, statements
 from dashboard.studies.paper import FINDINGS, STUDIES, PaperValue, success, success_between, worst
 from dashboard.studies.study import TABLE
 from dashboard.web.charts import charts
@@ -22,7 +23,6 @@ from dashboard.web.components.outcome_shares import in_words
 from dashboard.web.components.quality_tables import Row, table
 from deploy.kernel_study.file import kept_runs
 from injector.kernel_study.results import StudyRun
-from services.kernels import PLANNERS
 
 LOOKED_AT = 200
 """Campaigns among which the newest of a study is looked for."""
@@ -132,11 +132,8 @@ def _by_arm(records: list[FlightRecord]) -> None:
 
 
 def _kernels(path: Path, found: dict[str, list[StudyRun]]) -> None:
-    with section("Fig. 6: a bit in one kernel alone"):
-        ui.label(
-            "The paper (section IV-A): 5,000 injections a kernel; OctoMap has the most silent corruption and "
-            "less than 25 % benign, the others more; RRT* the least silent corruption of the planners."
-        ).classes("note")
+    with section(kernels_alone.TITLE):
+        ui.label(kernels_alone.ABOUT).classes("note")
         command = f"zenfi kernels run --output {path}"
         if not found:
             nothing("Not made here yet.", f"{command}, or a part of it: --injections 500")
@@ -148,35 +145,8 @@ def _kernels(path: Path, found: dict[str, list[StudyRun]]) -> None:
         draw(chart, charts.stacked(list(found), counts, "of the injected, %", words), len(found))
         shown = table((("kernel", "kernel"), *((name, f"{name}, % (95 %)") for name in RESULTS)))
         shown.rows = [{"kernel": kernel} | in_words(shares(runs)) for kernel, runs in found.items()]
-        claimed = table((("what", "what"), ("paper", "paper"), ("ours", "ours, % (95 %)")))
-        claimed.rows = [dict(zip(("what", "paper", "ours"), line, strict=True)) for line in claims(found)]
-
-
-def claims(found: dict[str, list[StudyRun]]) -> list[tuple[str, str, str]]:
-    """What the paper says in words of its Fig. 6: what it is about, the paper's, ours."""
-
-    def part(name: str, result: str) -> float:
-        told = shares(found[name])
-        return told[result].count / max(sum(share.count for share in told.values()), 1)
-
-    def ours(names: list[str], result: str, pick: Callable[..., str]) -> str:
-        if not names:
-            return "-"
-        name = pick(names, key=lambda one: part(one, result))
-        return f"{name}: {in_words(shares(found[name]))[result]}"
-
-    others = [name for name in found if name != "octomap"]
-    planners = [name for name in found if name in PLANNERS]
-    return [
-        ("most silent corruption (sdc)", "octomap", ours(list(found), "sdc", max)),
-        (
-            "benign in octomap",
-            "less than 25 %",
-            ours(["octomap"] if "octomap" in found else [], "benign", min),
-        ),
-        ("benign in the others, the smallest", "more than 25 %", ours(others, "benign", min)),
-        ("least silent corruption of the planners", "rrt_star", ours(planners, "sdc", min)),
-    ]
+        claimed = table((("what", "what"), ("paper", "paper"), ("ours", "ours (95 %)"), ("verdict", "")))
+        claimed.rows = [one._asdict() for one in statements(counts_of(found))]
 
 
 def _between(value: float | None, interval: Interval | None) -> str:

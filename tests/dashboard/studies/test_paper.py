@@ -11,8 +11,6 @@ from dashboard.campaigns.spec import Cell, cells, load_campaign
 from dashboard.campaigns.statistics.proportions import wilson
 from dashboard.studies.paper import FINDINGS, STUDIES, success, worst
 from dashboard.studies.study import TABLE
-from dashboard.web.pages.studies import claims
-from tests.dashboard.commands.test_kernels import run
 from tests.dashboard.web.components.test_views import record
 
 
@@ -70,20 +68,6 @@ def test_numbers_of_many_flights_have_intervals_and_the_longest_of_them_has_none
     assert over == pytest.approx((100 * (1.1 * exp(-spread) - 1), 100 * (1.1 * exp(spread) - 1)))
     (longest, _) = FINDINGS["fig7"]
     assert longest.interval(records) is None
-
-
-def test_what_the_paper_says_of_kernels_is_set_beside_ours() -> None:
-    study = {
-        "octomap": [run(0, "benign", "rax"), run(1, "sdc", "rax")],
-        "rrt": [run(0, "benign", "rax"), run(1, "benign", "rax")],
-        "rrt_star": [run(0, "benign", "rax"), run(1, "crash", "rax"), run(2, "sdc", "rax")],
-    }
-    told = {what: ours for what, _, ours in claims(study)}
-    assert told["most silent corruption (sdc)"].startswith("octomap: 50.0 (")
-    assert told["benign in octomap"].startswith("octomap: 50.0 (")
-    assert told["benign in the others, the smallest"].startswith("rrt_star: 33.3 (")
-    assert told["least silent corruption of the planners"].startswith("rrt: 0.0 (")
-    assert claims({"pid": [run(0, "benign", "rax")]})[1][2] == "-"
 
 
 def test_every_study_is_a_preset_whose_arms_the_findings_name() -> None:

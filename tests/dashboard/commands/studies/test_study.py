@@ -10,6 +10,7 @@ import pytest
 from pyarrow import parquet
 
 from dashboard.campaigns.store.store import Store
+from dashboard.studies.kernels_alone import KERNELS, statements
 from dashboard.studies.study import TABLE
 from tests.dashboard.command import refusal, zenfi
 
@@ -31,7 +32,7 @@ def study(store: Path, *arguments: object) -> str:
 
 def test_all_studies_are_listed() -> None:
     told = [json.loads(line) for line in zenfi("study", "list", "--json").stdout.splitlines()]
-    assert [one["name"] for one in told] == [*TABLE]
+    assert [one["name"] for one in told] == ["fig6", *TABLE]
     assert {one["name"]: one["findings"] for one in told}["table3"] == 13
     shown = zenfi("study", "list").stdout
     assert all(one.title in shown for one in TABLE.values())
@@ -67,3 +68,61 @@ def test_a_page_is_made_again_from_its_specification_without_a_flight(
 def test_bad_input_is_one_clear_line(tmp_path: Path) -> None:
     assert "table3" in refusal("study", "run", "demo", "--store", tmp_path / "store")
     assert "absent.toml" in refusal("study", "run", tmp_path / "absent.toml", "--store", tmp_path / "store")
+
+
+@pytest.fixture(scope="module")
+def struck(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The smallest Fig. 6."""
+    folder = tmp_path_factory.mktemp("kernels") / "fig6"
+    answer = zenfi("study", "run", "fig6", "--scale", 0.0008, "--output", folder)
+    assert answer.returncode == 0, answer.stderr
+    assert "20 injections into 5 kernels" in answer.stdout
+    return folder
+
+
+def test_kernels_alone_leave_a_page_a_table_a_figure_and_every_injection(struck: Path) -> None:
+    page = (struck / "README.md").read_text()
+    assert page.startswith("# Fig. 6: a bit in one kernel alone\n")
+    assert "4 injections into each of 5 kernels, drawn from seed 0" in page
+    rows = re.findall(r"^\| ([^|]+) \| [^|]+ \| [^|]* \| (confirmed|not \w+) \|$", page, re.MULTILINE)
+    assert [what for what, _ in rows] == [one.what for one in statements({})]
+    with (struck / "outcomes.csv").open(newline="") as file:
+        counts = [(row["kernel"], int(row["count"]), int(row["injected"])) for row in csv.DictReader(file)]
+    for kernel in KERNELS:
+        assert sum(count for name, count, _ in counts if name == kernel) == 4
+    assert "<svg" in (struck / "quality.svg").read_text()
+
+
+def test_a_page_of_kernels_is_made_again_from_its_specification(struck: Path, tmp_path: Path) -> None:
+    answer = zenfi("study", "run", struck / "kernels.json", "--output", tmp_path)
+    assert answer.returncode == 0, answer.stderr
+    for name in ("README.md", "outcomes.csv", "kernels.json", "injections.jsonl"):
+        assert (tmp_path / name).read_bytes() == (struck / name).read_bytes()
+
+
+def test_kernels_are_ranked_alone_and_in_flight(struck: Path, tmp_path: Path) -> None:
+    campaign = tmp_path / "few.toml"
+    campaign.write_text(
+        'name = "few"\nruns = 1\n[mission]\nworld = "sparse"\n'
+        + "".join(
+            f'[[arms]]\nname = "{kernel}"\nfault = {{ target = "{kernel}" }}\n'
+            for kernel in ("pid", "octomap", "rrt_star")
+        )
+    )
+    store = tmp_path / "store"
+    assert zenfi("campaign", "run", campaign, "--store", store).returncode == 0
+    answer = zenfi("study", "ranks", struck / "injections.jsonl", "few-1", "--json", "--store", store)
+    assert answer.returncode == 0, answer.stderr
+    (found,) = map(json.loads, answer.stdout.splitlines())
+    assert found["pilot"] == "guarded"
+    told = {one["kernel"]: (one["injected"], one["struck"]) for one in found["kernels"]}
+    assert told == dict.fromkeys(("octomap", "rrt_star", "pid"), (4, 1))
+    assert found["low"] < 0 < found["high"]
+    shown = zenfi("study", "ranks", struck / "injections.jsonl", "few-1", "--store", store).stdout
+    assert "not resolved: the interval has 0 in it" in shown
+    absent = refusal("study", "ranks", tmp_path / "absent.jsonl", "few-1", "--store", store)
+    assert "zenfi kernels run --output" in absent
+
+
+def test_kernels_alone_fly_nowhere_else() -> None:
+    assert "leave it out" in refusal("study", "run", "fig6", "--executor", "dask")

@@ -1,0 +1,163 @@
+"""The paper's thesis: whether the kernels that err most alone are those whose errors harm the mission.
+
+Kernels are ranked by their rate of silent corruption alone and by their rate of harm in flight, and both
+rankings compared by Kendall's tau-b (Kendall 1945): 1 if they agree, -1 if one is the other reversed, about 0
+if one says nothing of the other. Its interval is that of the rates' own: each is drawn from Jeffreys'
+posterior Beta(k + 1/2, n - k + 1/2), and tau of every draw taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import kendalltau
+
+from dashboard.campaigns.flight_record import FlightRecord
+from dashboard.campaigns.spec import CampaignSpec, mission_cells
+from dashboard.campaigns.statistics.proportions import Interval, wilson
+from deploy.errors import BadSpecError
+from services.models.base import Strict
+
+DRAWS = 4000
+
+LEAST = 3
+"""Kernels: two are ranked alike in every second case."""
+
+
+class KernelRate(NamedTuple):
+    """How many of a kernel's faults had a result: ``found`` of ``of``."""
+
+    found: int
+    of: int
+
+    @property
+    def rate(self) -> float:
+        """The part of a kernel's faults that had the result; 0 if there were none."""
+        return self.found / self.of if self.of else 0.0
+
+
+class RankedKernel(Strict):
+    """A kernel: silent corruption of the injections alone, harm of the strikes in flight; 95 % (Wilson)."""
+
+    kernel: str
+    injected: int
+    corrupted: int
+    corrupted_low: float
+    corrupted_high: float
+    struck: int
+    harmed: int
+    harmed_low: float
+    harmed_high: float
+
+
+class RankAgreement(Strict):
+    """How the ranking alone agrees with that in a pilot's flights: tau-b with its interval of 95 %.
+
+    ``tau`` is None if all kernels have the same rate in one of both, which ranks nothing.
+    """
+
+    pilot: str
+    kernels: list[RankedKernel]
+    tau: float | None
+    low: float
+    high: float
+
+    @property
+    def verdict(self) -> str:
+        """What that says of the thesis that rates alone do not tell what harms, in words."""
+        if self.low > 0:
+            return "kernels that err more alone harm more"
+        if self.high < 0:
+            return "kernels that err more alone harm less"
+        return "not resolved: the interval has 0 in it"
+
+
+def agreement(
+    pilot: str, alone: Mapping[str, KernelRate], flown: Mapping[str, KernelRate], *, seed: int = 0
+) -> RankAgreement:
+    """Compare both rankings of the kernels that are in both.
+
+    :raises BadSpecError: if these are fewer than three, or one was never struck.
+    """
+    names = [name for name in alone if name in flown]
+    if len(names) < LEAST:
+        message = f"{pilot}: {len(names)} kernels were struck both alone and in flight; ranks need {LEAST}"
+        raise BadSpecError(message)
+    unstruck = next((name for name in names if not (alone[name].of and flown[name].of)), None)
+    if unstruck is not None:
+        message = f"{pilot}: no fault struck {unstruck}; strike it more often"
+        raise BadSpecError(message)
+    tau = float(
+        kendalltau([alone[name].rate for name in names], [flown[name].rate for name in names]).statistic
+    )
+    low, high = _interval([alone[name] for name in names], [flown[name] for name in names], seed)
+    return RankAgreement(
+        pilot=pilot,
+        kernels=[_ranked(name, alone[name], flown[name]) for name in names],
+        tau=None if np.isnan(tau) else tau,
+        low=low,
+        high=high,
+    )
+
+
+def _interval(alone: Sequence[KernelRate], flown: Sequence[KernelRate], seed: int) -> Interval:
+    generator = np.random.default_rng(seed)
+    first, second = np.triu_indices(len(alone), 1)
+    # No two drawn rates are equal, so tau-b is the mean agreement of the pairs.
+    agreed = np.ones((DRAWS, len(first)))
+    for tallies in (alone, flown):
+        rates = _drawn(tallies, generator)
+        agreed *= np.sign(rates[:, first] - rates[:, second])
+    low, high = np.quantile(agreed.mean(axis=1), (0.025, 0.975))
+    return Interval(float(low), float(high))
+
+
+def _drawn(tallies: Sequence[KernelRate], generator: np.random.Generator) -> NDArray[np.float64]:
+    """Rates (draws, kernels) that agree with what was counted."""
+    found = np.array([one.found for one in tallies])
+    of = np.array([one.of for one in tallies])
+    return generator.beta(found + 0.5, of - found + 0.5, (DRAWS, len(tallies)))
+
+
+def _ranked(kernel: str, alone: KernelRate, flown: KernelRate) -> RankedKernel:
+    corrupted, harmed = wilson(*alone), wilson(*flown)
+    return RankedKernel(
+        kernel=kernel,
+        injected=alone.of,
+        corrupted=alone.found,
+        corrupted_low=corrupted.low,
+        corrupted_high=corrupted.high,
+        struck=flown.of,
+        harmed=flown.found,
+        harmed_low=harmed.low,
+        harmed_high=harmed.high,
+    )
+
+
+def harm_by_kernel(spec: CampaignSpec, records: Sequence[FlightRecord]) -> dict[str, dict[str, KernelRate]]:
+    """Of each pilot: of the faults that struck each kernel's instructions, how many harmed.
+
+    Flights with a detector, and such as cannot be judged, are not counted.
+    """
+    struck: dict[str, dict[str, KernelRate]] = {}
+    places = dict(_struck_kernels(spec))
+    for one in records:
+        result = one.result
+        if one.cell not in places or result is None or result.injection != "injected" or result.harm is None:
+            continue
+        pilot, kernel = places[one.cell]
+        tallies = struck.setdefault(pilot, {})
+        known = tallies.get(kernel, KernelRate(0, 0))
+        tallies[kernel] = KernelRate(known.found + bool(result.harm), known.of + 1)
+    return struck
+
+
+def _struck_kernels(spec: CampaignSpec) -> Iterator[tuple[object, tuple[str, str]]]:
+    """Of each cell whose faults strike a kernel's instructions, without a detector: pilot and kernel."""
+    for cell, mission in mission_cells(spec):
+        fault = mission.fault
+        if fault is not None and fault.level == "instruction" and mission.detector is None:
+            yield cell, (mission.pilot, fault.target)
