@@ -150,6 +150,34 @@ def rates(rows: Sequence[tuple[str, float, float]], target: float | None) -> Fig
     return figure
 
 
+def trade_off(
+    others: Sequence[tuple[float, float]],
+    best: Sequence[tuple[str, float, float, float]],
+    target: float | None,
+) -> Figure:
+    """Designs by flight time that they add (a part) and the bound of their failures per flight hour.
+
+    ``best`` are those on the front: name, flight time, bound, and the mass in kg that they add. ``others``
+    are all: flight time and bound.
+
+    :raises BadSpecError: if matplotlib is not installed.
+    """
+    figure = _figure(8.0, 4.5, "designs: harm that is left, and what they cost")
+    axis = figure.subplots()
+    axis.plot([100 * time for time, _ in others], [bound for _, bound in others], ".", color="#b8c2cc")
+    for name, time, bound, mass_kg in best:
+        axis.plot([100 * time], [bound], "s" if mass_kg else "o", color=FLOWN)
+        axis.annotate(name, (100 * time, bound), textcoords="offset points", xytext=(5, 4), fontsize=7)
+    if target is not None:
+        axis.axhline(target, color=FAULT, linestyle=":", label="target")
+        axis.legend()
+    if any(bound > 0 for _, bound in others):
+        axis.set_yscale("log", nonpositive="clip")
+    axis.set(xlabel="flight time added, %", ylabel="failures per flight hour, bound")
+    axis.grid(alpha=0.3)
+    return figure
+
+
 def _figure(width: float, height: float, title: str) -> Figure:
     """A figure of so many inches that belongs to nobody: pyplot would keep every one."""
     made = _shown_figure()(figsize=(width, height), layout="constrained")

@@ -208,6 +208,13 @@ def unprotected_arms(campaign: CampaignSpec) -> dict[str, str]:
     return {arm: bare[same] for arm, same in watched.items() if same in bare}
 
 
+def arm_conditions(campaign: CampaignSpec) -> Iterator[tuple[str, Condition, MissionSpec]]:
+    """Each arm's name with each fault that it flies, and its mission, in the first of the worlds."""
+    for arm, condition, mission in _flown(campaign.model_copy(update={"worlds": campaign.worlds[:1]})):
+        named = condition.name if campaign.faults else ""
+        yield arm.name, condition.model_copy(update={"name": named}), mission
+
+
 def _flown(campaign: CampaignSpec) -> list[tuple[Arm, Condition, MissionSpec]]:
     """The cells of a campaign: arm, fault and mission of each."""
     return [

@@ -61,7 +61,7 @@ def strikes_of(element: Element, campaigns: Sequence[Flown]) -> ElementStrikes:
 
     :raises BadSpecError: if it names none, or cells of several arms or faults: these are different questions.
     """
-    found = list(_runs_of(element, campaigns))
+    found = list(runs_of(element, campaigns))
     cells = {(campaign.label, run.cell.arm, run.cell.fault) for campaign, run in found}
     wanted = (
         f"element {element.name!r} (arm={element.arm!r}, world={element.world!r}, fault={element.fault!r})"
@@ -87,7 +87,8 @@ def strikes_of(element: Element, campaigns: Sequence[Flown]) -> ElementStrikes:
     return ElementStrikes(element, strikes, not_injected, failed, not_judged)
 
 
-def _runs_of(element: Element, campaigns: Sequence[Flown]) -> Iterator[tuple[CampaignEntry, FlightRecord]]:
+def runs_of(element: Element, campaigns: Sequence[Flown]) -> Iterator[tuple[CampaignEntry, FlightRecord]]:
+    """The runs of the cells that an element names, with their campaign, in the order of planning."""
     named = Cell(element.arm, element.world, element.fault)
     for campaign, runs in campaigns:
         if element.campaign not in ("", campaign.label):

@@ -75,7 +75,7 @@ def reckon(budget: UpsetBudget, counts: Sequence[StrikeCounts], seed: int = 0) -
             counts=one,
             manifests=clopper_pearson(one.manifested, one.struck),
             harms=clopper_pearson(one.harmed, one.manifested),
-            rate_per_hour=_upsets_per_hour(element) * one.harmed / max(one.struck, 1),
+            rate_per_hour=upsets_per_hour(element) * one.harmed / max(one.struck, 1),
             bound_per_hour=float(np.quantile(rates, budget.confidence)),
         )
         for element, one, rates in zip(budget.elements, counts, drawn, strict=True)
@@ -89,22 +89,29 @@ def reckon(budget: UpsetBudget, counts: Sequence[StrikeCounts], seed: int = 0) -
     )
 
 
-def _upsets_per_hour(element: Element) -> float:
+def upsets_per_hour(element: Element) -> float:
+    """The upsets of an element that meet what its cell's faults strike, 1/h, by the stated values."""
     return element.fit.value / HOURS * element.flux.value * element.share.value
 
 
 def _drawn(budget: UpsetBudget, counts: Sequence[StrikeCounts], seed: int) -> NDArray[np.float64]:
     """Draws (elements, draws) of rates, 1/h. Each line draws by itself: one more moves no other."""
-    rows = []
-    for number, (element, one) in enumerate(zip(budget.elements, counts, strict=True)):
-        generator = np.random.default_rng([seed, number])
-        rates = np.full(budget.draws, 1.0 / HOURS)
-        for factor in (element.fit, element.flux, element.share):
-            rates *= _stated(factor, budget.draws, generator)
-        rates *= _counted(one.manifested, one.struck, budget.draws, generator)
-        rates *= _counted(one.harmed, one.manifested, budget.draws, generator)
-        rows.append(rates)
-    return np.array(rows)
+    return np.array([drawn_line(budget, number, one, seed) for number, one in enumerate(counts)])
+
+
+def drawn_line(budget: UpsetBudget, number: int, one: StrikeCounts, seed: int = 0) -> NDArray[np.float64]:
+    """Draws (draws,) of the rate of the element of that number, 1/h.
+
+    The draws of what is stated are the same for all counts, so that rates may be compared draw by draw.
+    """
+    element = budget.elements[number]
+    generator = np.random.default_rng([seed, number])
+    rates = np.full(budget.draws, 1.0 / HOURS)
+    for factor in (element.fit, element.flux, element.share):
+        rates *= _stated(factor, budget.draws, generator)
+    rates *= _counted(one.manifested, one.struck, budget.draws, generator)
+    rates *= _counted(one.harmed, one.manifested, budget.draws, generator)
+    return rates
 
 
 def _stated(factor: Stated, draws: int, generator: np.random.Generator) -> NDArray[np.float64]:

@@ -1651,6 +1651,75 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "dashboard/design/paired_strikes.py",
+        "tests/dashboard/design/test_paired_strikes.py",
+        (
+            "design: harm that one protection averts is there beside another",
+            "np.where(bare == 1, (beside == 1).all(axis=0), (beside == 1).any(axis=0))",
+            "(beside == 1).any(axis=0)",
+        ),
+        (
+            "design: strikes are paired by number alone",
+            "return run.cell.world, run.number, run.seed",
+            "return run.cell.world, run.number, 0",
+        ),
+    ),
+    *_of(
+        "dashboard/design/designs.py",
+        "tests/dashboard/design/test_designs.py",
+        (
+            "design: what is on for one element is not on for the others",
+            "strikes.counts(choice.protections)",
+            "strikes.counts([name for name in choice.protections if name in choice.options[:1]])",
+        ),
+        (
+            "design: the front has designs that are the same as others",
+            "if not (axes <= own).all(axis=1).any():",
+            "if not (axes < own).all(axis=1).any():",
+        ),
+        (
+            "design: nothing is left out as another option beats it",
+            "        if _size(options) > limit:\n            for number",
+            "        if _size(options) > limit + 10**9:\n            for number",
+        ),
+    ),
+    *_of(
+        "dashboard/design/prediction.py",
+        "tests/dashboard/design/test_prediction.py",
+        (
+            "design: a prediction takes what was seen for what is true",
+            "scipy.stats.betabinom.pmf(np.arange(more + 1), more, first, second)",
+            "scipy.stats.binom.pmf(np.arange(more + 1), more, first / (first + second))",
+        ),
+    ),
+    *_of(
+        "dashboard/design/second_computer.py",
+        "tests/dashboard/design/test_second_computer.py",
+        (
+            "design: DMR masks a fault that stays",
+            'if name == "TMR" or fault.recurrence == "once"]',
+            "]",
+        ),
+    ),
+    *_of(
+        "dashboard/design/specification.py",
+        "tests/dashboard/design/test_specification.py",
+        (
+            "design: the faults that a prediction was made of are flown again",
+            '"seed": one.fault.seed + most',
+            '"seed": one.fault.seed',
+        ),
+    ),
+    *_of(
+        "dashboard/design/overheads.py",
+        "tests/dashboard/design/test_overheads.py",
+        (
+            "design: golden flights that a protection loses are not told",
+            "lost = len(arrived) - len(kept)",
+            "lost = 0",
+        ),
+    ),
+    *_of(
         "injector/program/counted_program.py",
         "tests/injector/program/test_counted_program.py",
         (

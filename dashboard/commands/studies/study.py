@@ -16,6 +16,7 @@ from dashboard.campaigns.results.compare import side_by_side
 from dashboard.campaigns.results.summary import summary
 from dashboard.campaigns.spec import CampaignSpec, load_campaign
 from dashboard.campaigns.store.store import Store
+from dashboard.commands.studies.design import design
 from dashboard.commands.studies.ranks import ranks
 from dashboard.studies import folder, kernels_page
 from dashboard.studies.kernels_alone import TITLE, KernelsAlone, statements
@@ -32,6 +33,9 @@ messages = Console(stderr=True)
 @click.group()
 def study() -> None:
     """Experiments of the paper and of ours: flown, judged and written as pages."""
+
+
+study.add_command(design)
 
 
 @study.command("list")
