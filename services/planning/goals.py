@@ -38,12 +38,16 @@ class Goals(ABC):
         :raises MalformedMap: if it is broken.
         """
 
+    def decided(self) -> bytes:
+        """All that the kernel has decided so far, bit by bit."""
+        return b""
+
     @abstractmethod
     def next(self, standing: GoalContext) -> Floats | None:
         """The place (3,) to fly to now, world frame, or None if there is none.
 
         Called at the start and whenever the goal was reached or is to be given up. An itinerary insists
-        on it, a sweep and an exploration go on to another.
+        on it, a sweep and an exploration go on to another. Changes nothing that a shallow copy shares.
         """
 
 
@@ -65,7 +69,7 @@ class WaypointGoals(Goals):
     def next(self, standing: GoalContext) -> Floats | None:
         """The same place until it is reached."""
         if standing.reached and len(self._left) > 1:
-            self._left.pop(0)
+            self._left = self._left[1:]
         return self._left[0]
 
 
@@ -82,6 +86,10 @@ class SweepGoals(Goals):
         self._area = place.lower, place.upper, place.start, (1.0 - SIDELAP) * swath_m
         self._ends = np.empty((0, 3))
         self._index = 0
+
+    def decided(self) -> bytes:
+        """The ends of all lanes, and which one is flown to."""
+        return self._ends.tobytes() + self._index.to_bytes(8, "little")
 
     def next(self, standing: GoalContext) -> Floats | None:
         """The next end of a lane, whether or not the one before was reached."""
@@ -111,6 +119,10 @@ class ExplorationGoals(Goals):
         self._grid = unpack(payload, resolution_m, low, high)
         self._known = known(payload, resolution_m, low, high)
 
+    def decided(self) -> bytes:
+        """The frontiers so far."""
+        return np.array(self._tried).tobytes()
+
     def next(self, standing: GoalContext) -> Floats | None:
         """The best frontier; none is tried twice."""
         grid, tried = self._grid, np.array(self._tried).reshape(-1, 3)
@@ -118,7 +130,7 @@ class ExplorationGoals(Goals):
         found = frontier(*voxels, self._lower, self._upper, standing.position, tried)
         if not len(found):
             return None
-        self._tried.append(found)
+        self._tried = [*self._tried, found]
         return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from copy import copy
 from functools import partial
 from typing import Any
 
@@ -65,7 +66,7 @@ def main(setup: NodeSetup, proxy: NodeLink, stats: SharedStats) -> None:
             if aims is None:
                 aims = goals(node.spec.mission, place(aim, task.latest), node.spec.area.swath_m)
             try:
-                heading = guided(node, aims, navigator, now.position, known)
+                aims, heading = guided(node, aims, navigator, now.position, known)
                 if heading is None:
                     continue
                 navigator = heading
@@ -105,21 +106,31 @@ def opened(node: Node, opening: Plan) -> Any:
 
 def guided(
     node: Node, aims: Goals, navigator: Navigator | None, position: Floats, octomap: Any
-) -> Navigator | None:
-    """The navigator on its way to the goal that is next; None if there is none: the vehicle stays."""
+) -> tuple[Goals, Navigator | None]:
+    """The goals, and the navigator on its way to the next one; None if there is none: the vehicle stays."""
     reached = False if navigator is None else navigator.arrival(node.now_ns / 1e9, position)
     if reached is None:
-        return navigator
+        return aims, navigator
     aims.look(position, octomap.data.tobytes(), octomap.resolution)
-    with node.kernel(GOAL_KERNELS[node.spec.mission]) if aims.chooses else nullcontext():
-        goal = aims.next(GoalContext(position, reached))
+    decide = partial(chosen, node, aims, GoalContext(position, reached))
+    if aims.chooses:
+        aims, goal = node.recovery.decided("trajectory", decide, lambda both: both[0].decided())
+    else:
+        aims, goal = decide()
     if goal is None:
-        return None
+        return aims, None
     if navigator is None:
         latency_s = sum(node.timer.latency(name).slow_ns for name in (node.spec.planner, "trajectory")) / 1e9
-        return Navigator(goal, latency_s, tactics(node.spec))
+        return aims, Navigator(goal, latency_s, tactics(node.spec))
     navigator.head_for(goal)
-    return navigator
+    return aims, navigator
+
+
+def chosen(node: Node, aims: Goals, standing: GoalContext) -> tuple[Goals, Floats | None]:
+    """The goals once the next one is chosen, and that one."""
+    after = copy(aims)
+    with node.kernel(GOAL_KERNELS[node.spec.mission]) if aims.chooses else nullcontext():
+        return after, after.next(standing)
 
 
 def make(node: Node, request: PlanRequest, grid: VoxelGrid) -> Floats | None:

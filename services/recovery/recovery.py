@@ -149,6 +149,36 @@ class Recovery:
         self._fresh = True
         return made, sent
 
+    def decided(self, topic: str, decide: Callable[[], Made], told: Callable[[Made], bytes]) -> Made:
+        """What a stage decides before its output ``topic`` and keeps for later ones, the goal to fly to.
+
+        Nothing of it is published, so only re-execution judges it: it is made again while two runs of it
+        differ. ``told`` is all of it as bytes; ``decide`` changes nothing of the stage.
+        """
+        twice = self._reexecution
+        if twice is None or self._spec is None:
+            return decide()
+        made = twice.make(decide, told)
+        gated = self._spec.gate == "on"
+        for _ in range(self._spec.retries if gated and self._recovers else 0):
+            found = self._decision_differs(topic, gated=True)
+            if found is None:
+                return made
+            alarmed_ns = self._stage.now_ns
+            made = twice.make(decide, told)
+            self._stage.count("recomputed")
+            self._tell(topic, found, "recomputed", alarmed_ns)
+        found = self._decision_differs(topic, gated=gated)
+        if found is not None:
+            self._tell(topic, found, "published", self._stage.now_ns)
+        return made
+
+    def _decision_differs(self, topic: str, *, gated: bool) -> DetectorReply | None:
+        assert self._reexecution is not None  # noqa: S101 - asked for where there is one
+        if gated:
+            self._stage.now_ns += self._reexecution.took_ns
+        return self._differing(topic)
+
     def _fallback_of(
         self, topic: str, instead: Mapping[Fallback, Callable[[], Made]]
     ) -> tuple[Action, Callable[[], Made] | None]:

@@ -303,6 +303,20 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "services/planning/goals.py",
+        "tests/services/planning/test_goals.py",
+        (
+            "re-execution: copies of an exploration share what they tried",
+            "        self._tried = [*self._tried, found]\n",
+            "        self._tried.append(found)\n",
+        ),
+        (
+            "re-execution: of a sweep nothing is compared",
+            '        return self._ends.tobytes() + self._index.to_bytes(8, "little")\n',
+            '        return b""\n',
+        ),
+    ),
+    *_of(
         "deploy/mission/supervisor.py",
         "tests/deploy/mission/test_flight.py",
         (

@@ -10,7 +10,7 @@ from deploy.mission.flight import fly
 from deploy.mission.fork_server import ForkServer
 from deploy.pairing.golden_twin import PairFlyer
 from services.bus.topics import published_by
-from services.kernels import KERNELS
+from services.kernels import KERNELS, PLANNERS
 from services.models.faults.specification import FaultSpec, Trigger
 from services.models.mission import Limits, MissionSpec
 from services.models.outcome import Outcome
@@ -19,6 +19,12 @@ SHORT = Limits(mission_time_s=8.0)
 
 FAULTS = 60
 """Of each kernel, in the soak test."""
+
+MISSIONS: dict[str, dict[str, object]] = {
+    "lawn_mower": {"mission": "scanning"},
+    "frontier": {"mission": "mapping"},
+}
+"""Those that call a kernel which no way to a goal does."""
 
 
 def mission(**fields: object) -> MissionSpec:
@@ -112,12 +118,12 @@ def test_transient_faults_of_a_kernel_that_change_what_its_stage_publishes_are_f
     kernel: str, server: ForkServer
 ) -> None:
     stage = KERNELS[kernel].stage
-    planner = {"planner": kernel} if kernel.startswith("rrt") else {}
+    flies_it = {"planner": kernel} if kernel in PLANNERS else MISSIONS.get(kernel, {})
     found: Counter[str] = Counter()
     flyer = PairFlyer(server)
     for seed in range(FAULTS):
         fault = FaultSpec(target=kernel, field="exponent" if seed % 2 else "any", seed=seed)
-        outcome = flyer.fly(mission(seed=seed // 20, fault=fault, detector=TWICE, **planner))
+        outcome = flyer.fly(mission(seed=seed // 20, fault=fault, detector=TWICE, **flies_it))
         report = outcome.nodes[stage]
         times = (outcome.topics[topic.name].diverged_at_s for topic in published_by(stage))
         changed_s = min((time_s for time_s in times if time_s is not None), default=None)
@@ -127,10 +133,11 @@ def test_transient_faults_of_a_kernel_that_change_what_its_stage_publishes_are_f
         if report.result in ("crash", "hang"):
             found["died"] += 1
         elif changed_s is None:
-            found["same"] += 1
-            assert not alarmed
+            # A goal's kernel decides for later: what is wrong with the last lane is not published yet.
+            found["kept" if alarmed else "same"] += 1
+            assert not alarmed or kernel in MISSIONS
         else:
             found["found" if alarmed else f"missed: seed {seed}"] += 1
     sys.stdout.write(f"{kernel}: {dict(found)}\n")
-    changed = sum(found.values()) - found["died"] - found["same"]
+    changed = sum(found.values()) - found["died"] - found["same"] - found["kept"]
     assert found["found"] >= 0.99 * changed

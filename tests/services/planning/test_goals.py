@@ -1,5 +1,7 @@
 """Each mission's goal logic by itself: which place comes next."""
 
+from copy import copy
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -79,3 +81,18 @@ def test_an_exploration_goes_on_until_there_is_no_frontier_left(mission: str) ->
 def test_a_broken_map_is_told() -> None:
     with pytest.raises(MalformedMap):
         goals("mapping", PLACE, 8.0).look(START, b"\x03", RESOLUTION_M)
+
+
+@pytest.mark.parametrize("mission", ["navigation", "delivery", "scanning", "mapping"])
+def test_a_copy_chooses_by_itself_and_what_the_kernel_decided_is_told(mission: str) -> None:
+    """Re-execution has a copy choose first, and chooses again from what was before."""
+    before = goals(mission, PLACE, 8.0)
+    octomap = payload(tree(np.empty((0, 3)), box((-25.0, -19.0, 1.0), (0.0, 5.0, 3.0))))
+    before.look(START, octomap, RESOLUTION_M)
+    first, second = copy(before), copy(before)
+    told = before.decided()
+    found = [ask(one, START, reached=True) for one in (first, second)]
+    assert found[0] == found[1]
+    assert first.decided() == second.decided()
+    assert before.decided() == told
+    assert (first.decided() != told) == before.chooses

@@ -197,6 +197,32 @@ def test_with_the_gate_off_one_that_differs_is_told_and_nothing_is_dropped() -> 
     assert stage.now_ns == 3 * MAKE_NS
 
 
+def test_a_decision_is_made_again_while_it_differs_and_both_take_their_time() -> None:
+    stage = Adder(struck=(2,))
+    recovery = Recovery(stage, DetectorSpec(scheme=SCHEME))
+    assert [recovery.decided("trajectory", stage.add, payload) for _ in range(2)] == [1, 103]
+    assert stage.counted == Counter({"alarms": 1, "recomputed": 1})
+    (alarm,) = stage.alarms
+    assert (alarm.topic, alarm.action, alarm.cost_ns) == ("trajectory", "recomputed", MAKE_NS)
+    assert stage.now_ns == 3 * 2 * MAKE_NS
+
+
+@pytest.mark.parametrize("how", [{"gate": "off"}, {"recovery": "off"}])
+def test_a_decision_that_differs_is_told_where_nothing_is_recovered(how: dict[str, str]) -> None:
+    stage = Adder(struck=(2,))
+    recovery = Recovery(stage, DetectorSpec.model_validate({"scheme": SCHEME, **how}))
+    assert [recovery.decided("trajectory", stage.add, payload) for _ in range(3)] == [1, 102, 103]
+    assert [one.action for one in stage.alarms] == ["published"]
+    assert stage.now_ns == 3 * (1 if "gate" in how else 2) * MAKE_NS
+
+
+def test_without_reexecution_a_decision_is_made_once() -> None:
+    stage = Adder(struck=(1,))
+    for spec in (None, DetectorSpec(scheme="kinematic")):
+        assert Recovery(stage, spec).decided("trajectory", stage.add, payload) > 0
+    assert (stage.made, stage.alarms, stage.now_ns) == (2, [], 2 * MAKE_NS)
+
+
 def output(stage: Adder, recovery: Recovery) -> int:
     made, sent = recovery.sound("injection", stage.add, message, shown, stage.take_back)
     assert sent.record == str(made)
