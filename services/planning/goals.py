@@ -120,7 +120,7 @@ class ExplorationGoals(Goals):
         self._known = known(payload, resolution_m, low, high)
 
     def decided(self) -> bytes:
-        """The frontiers so far."""
+        """The frontiers that were chosen so far."""
         return np.array(self._tried).tobytes()
 
     def next(self, standing: GoalContext) -> Floats | None:

@@ -122,18 +122,12 @@ class Recovery:
         if self._spec.gate == "off":
             self._unjudged[topic] = _Unjudged(shown(sent), before_again)
             return made, sent
-        for _ in range(self._spec.retries if self._recovers else 0):
+        for _ in range(self._retries):
             found = self._gated(topic, shown(sent))
             if found is None:
                 self._accepted[topic] = made
                 return made, sent
-            alarmed_ns = self._stage.now_ns
-            if before_again is not None:
-                before_again()
-                self._fresh = True
-            made, sent = make()
-            self._stage.count("recomputed")
-            self._tell(topic, found, "recomputed", alarmed_ns)
+            made, sent = self._made_again(topic, found, make, before_again)
         found = self._gated(topic, shown(sent))
         if found is None:
             self._accepted[topic] = made
@@ -160,24 +154,36 @@ class Recovery:
             return decide()
         made = twice.make(decide, told)
         gated = self._spec.gate == "on"
-        for _ in range(self._spec.retries if gated and self._recovers else 0):
-            found = self._decision_differs(topic, gated=True)
+        for _ in range(self._retries if gated else 0):
+            self._pass_second_run()
+            found = self._differing(topic)
             if found is None:
                 return made
-            alarmed_ns = self._stage.now_ns
-            made = twice.make(decide, told)
-            self._stage.count("recomputed")
-            self._tell(topic, found, "recomputed", alarmed_ns)
-        found = self._decision_differs(topic, gated=gated)
+            made = self._made_again(topic, found, lambda: twice.make(decide, told), None)
+        if gated:
+            self._pass_second_run()
+        found = self._differing(topic)
         if found is not None:
             self._tell(topic, found, "published", self._stage.now_ns)
         return made
 
-    def _decision_differs(self, topic: str, *, gated: bool) -> DetectorReply | None:
-        assert self._reexecution is not None  # noqa: S101 - asked for where there is one
-        if gated:
-            self._stage.now_ns += self._reexecution.took_ns
-        return self._differing(topic)
+    @property
+    def _retries(self) -> int:
+        """How often an alarmed output is made again."""
+        return self._spec.retries if self._spec is not None and self._recovers else 0
+
+    def _made_again(
+        self, topic: str, found: DetectorReply, make: Callable[[], Made], before_again: Again | None
+    ) -> Made:
+        """What is made in the place of what was alarmed; counted and told."""
+        alarmed_ns = self._stage.now_ns
+        if before_again is not None:
+            before_again()
+            self._fresh = True
+        made = make()
+        self._stage.count("recomputed")
+        self._tell(topic, found, "recomputed", alarmed_ns)
+        return made
 
     def _fallback_of(
         self, topic: str, instead: Mapping[Fallback, Callable[[], Made]]
@@ -220,10 +226,14 @@ class Recovery:
     def _gated(self, topic: str, rows: Floats) -> DetectorReply | None:
         found = self._asked(topic, rows)
         self._stage.elapse_check(self._checks)
-        if self._reexecution is not None:
-            self._stage.now_ns += self._reexecution.took_ns
+        self._pass_second_run()
         self._checks += 1
         return found
+
+    def _pass_second_run(self) -> None:
+        """Have the virtual time of a second run pass, if there was one."""
+        if self._reexecution is not None:
+            self._stage.now_ns += self._reexecution.took_ns
 
     def _asked(self, topic: str, rows: Floats) -> DetectorReply | None:
         if self._reexecution is not None:

@@ -758,11 +758,11 @@ MUTANTS: list[Mutant] = [
         "tests/services/recovery/test_recovery.py",
         (
             "recovery: one retry more",
-            "for _ in range(self._spec.retries if",
-            "for _ in range(self._spec.retries + 1 if",
+            "return self._spec.retries if",
+            "return self._spec.retries + 1 if",
         ),
         ("recovery: a dead detector is asked again", "            self._dead = True\n", ""),
-        ("recovery: a repetition is not counted", '            self._stage.count("recomputed")\n', ""),
+        ("recovery: a repetition is not counted", '        self._stage.count("recomputed")\n', ""),
         ("recovery: a repetition costs no time", "cost_ns=self._stage.now_ns - alarmed_ns", "cost_ns=0"),
         (
             "recovery: perception recovers, too",
