@@ -18,6 +18,7 @@ from dashboard.evidence.budget import UpsetBudget
 from dashboard.evidence.counts import ElementStrikes, Flown, InjectedRun, strikes_of
 from dashboard.evidence.coverage import DiagnosticCoverage, coverages
 from dashboard.evidence.ledger import LedgerLine, reckon
+from dashboard.evidence.scope import ASSUMPTIONS, NEVER_STRUCK, UnstruckPart
 from services.models.base import Strict
 from services.models.oracles.harm import HarmKind, kinds
 
@@ -90,7 +91,7 @@ class Evidence(Strict):
     """A claim and what carries it. Rates are failures per flight hour.
 
     ``more_strikes``: without further harm, how many more are needed; 0 if the target is met, None without
-    a target or if no number is enough.
+    a target or if no number is enough. ``assumptions`` are the budget's and the method's.
     """
 
     name: str
@@ -106,6 +107,8 @@ class Evidence(Strict):
     dominant: list[HarmfulStrike]
     coverage: list[DiagnosticCoverage]
     campaigns: list[CampaignEvidence]
+    assumptions: list[str]
+    never_struck: list[UnstruckPart]
 
     @property
     def meets_target(self) -> bool | None:
@@ -140,6 +143,8 @@ def gather(store: Store, campaigns: Sequence[CampaignEntry], budget: UpsetBudget
         dominant=sorted(faults, key=lambda one: (-one.rate_per_hour, one.margin_s))[:DOMINANT],
         coverage=coverages(store, flown, budget.confidence),
         campaigns=[_campaign(store, *one) for one in flown],
+        assumptions=[*budget.assumptions, *ASSUMPTIONS],
+        never_struck=list(NEVER_STRUCK),
     )
 
 

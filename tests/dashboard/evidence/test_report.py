@@ -1,5 +1,6 @@
 """The page says what was found in words, escapes what others told, and needs nothing else."""
 
+import html
 import re
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from dashboard.evidence import report
 from dashboard.evidence.budget import Element, Stated, UpsetBudget
 from dashboard.evidence.evidence import Evidence, HarmfulStrike, LineEvidence, Margin
+from dashboard.evidence.scope import ASSUMPTIONS, NEVER_STRUCK
 
 SOURCE = "<script>alert('source')</script>"
 
@@ -65,6 +67,8 @@ def evidence(bound: float, more: int | None, target: float | None = 1e-6) -> Evi
         dominant=[fault],
         coverage=[],
         campaigns=[],
+        assumptions=["<b>Registers</b> have no parity.", *ASSUMPTIONS],
+        never_struck=list(NEVER_STRUCK),
     )
 
 
@@ -102,3 +106,15 @@ def test_what_dominates_has_its_command_and_no_compliance_is_claimed() -> None:
     assert "20/30 (50 to 80 %)" in page
     assert "20 (5 to 80)" in page
     assert "claims no compliance" in page
+
+
+def test_what_is_assumed_and_what_is_never_struck_stands_on_the_page_and_in_the_data() -> None:
+    found = evidence(3e-7, 0)
+    page, read = html.unescape(report.page(found)), Evidence.model_validate_json(found.model_dump_json())
+    assert "<b>Registers" not in report.page(found)
+    for told in (
+        *read.assumptions,
+        *(text for one in read.never_struck for text in one.model_dump().values()),
+    ):
+        assert f">{told}<" in page
+    assert len(read.assumptions) == 5
