@@ -864,6 +864,44 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "dashboard/campaigns/statistics/rare.py",
+        "tests/dashboard/campaigns/statistics/test_rare.py",
+        (
+            "rare: a learned proposal leaves strata out",
+            "(1.0 - DEFENSIVE) * errors / errors.sum() + DEFENSIVE * weights",
+            "errors / errors.sum()",
+        ),
+        (
+            "rare: draws of a batch are lost",
+            "        drawn += asked\n",
+            "        drawn = asked\n",
+        ),
+        (
+            "rare: nothing is learned",
+            "proposal = shares if batch == 0 else",
+            "proposal = shares if batch >= 0 else",
+        ),
+        (
+            "rare: weights of a group are not those of its strata",
+            "draw.multinomial(count, weights[one] / weights[one].sum())",
+            "draw.multinomial(count, np.full(len(one), 1.0 / len(one)))",
+        ),
+    ),
+    *_of(
+        "dashboard/campaigns/statistics/harm_rates.py",
+        "tests/dashboard/campaigns/statistics/test_rare.py",
+        (
+            "rare: strata tell nothing of each other",
+            "    return _rates(columns @ effects)\n\n\ndef _rates",
+            "    return np.full(len(drawn), overall)\n\n\ndef _rates",
+        ),
+        (
+            "rare: groups are cut anywhere",
+            "together.argmin(axis=0)",
+            "together.argmax(axis=0)",
+        ),
+    ),
+    *_of(
         "dashboard/campaigns/statistics/sampling.py",
         "tests/dashboard/campaigns/statistics/test_sampling.py",
         ("statistics: weights do not cost any sample", "w.sum() ** 2 / (w @ w)", "float(len(w))"),

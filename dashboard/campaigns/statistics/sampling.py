@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import sqrt
 from typing import NamedTuple
 
@@ -45,13 +45,13 @@ def weighted_proportion(outcomes: Sequence[bool], weights: Sequence[float], leve
     return Estimate(p, wilson(p * n_eff, n_eff, level), n_eff)
 
 
-def stratified_proportion(strata: Sequence[Stratum], level: float = 0.95) -> Estimate:
-    """Estimate a proportion from strata; planned for the studies.
+def stratified_proportion(
+    strata: Sequence[Stratum], level: float = 0.95, limits: Callable[[int, int, float], Interval] = wilson
+) -> Estimate:
+    """Estimate a proportion from strata: p = sum(W_h p_h), with variance sum(W_h^2 p_h (1 - p_h) / n_h).
 
-    p = sum(W_h p_h), with variance sum(W_h^2 p_h (1 - p_h) / n_h).
-
-    The interval adds the squared distances of the strata's Wilson limits (Newcombe's way; Donner and
-    Zou 2002): it stays honest where a stratum saw no event, at the price of being a little wide.
+    The interval adds the squared distances of each stratum's ``limits`` (Newcombe's way; Donner and Zou
+    2002): it stays honest where a stratum saw no event, at the price of being a little wide.
     ``n_eff`` is p (1 - p) / variance, infinite if no stratum varies.
     """
     total = sum(stratum.weight for stratum in strata)
@@ -59,17 +59,17 @@ def stratified_proportion(strata: Sequence[Stratum], level: float = 0.95) -> Est
         raise ValueError("strata: each needs trials and a weight, and the weights a positive sum")
     p = variance = below = above = 0.0
     for weight, successes, trials in strata:
-        share, p_h, limits = weight / total, successes / trials, wilson(successes, trials, level)
+        share, p_h, ends = weight / total, successes / trials, limits(successes, trials, level)
         p += share * p_h
         variance += share**2 * p_h * (1 - p_h) / trials
-        below += (share * (p_h - limits.low)) ** 2
-        above += (share * (limits.high - p_h)) ** 2
+        below += (share * (p_h - ends.low)) ** 2
+        above += (share * (ends.high - p_h)) ** 2
     interval = Interval(max(p - sqrt(below), 0.0), min(p + sqrt(above), 1.0))
     return Estimate(p, interval, p * (1 - p) / variance if variance else float("inf"))
 
 
 def neyman_allocation(flights: int, weights: Sequence[float], deviations: Sequence[float]) -> list[int]:
-    """Allocate ``flights`` to strata in proportion to W_h sigma_h (Neyman); planned for the studies.
+    """Allocate ``flights`` to strata in proportion to W_h sigma_h (Neyman).
 
     Each stratum gets one at least; largest remainders settle the rounding.
     """

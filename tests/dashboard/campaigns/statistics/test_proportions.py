@@ -11,6 +11,7 @@ from dashboard.campaigns.statistics.proportions import (
     holm,
     lower_bound,
     mcnemar,
+    mid_p,
     newcombe,
     newcombe_paired,
     wilson,
@@ -45,6 +46,26 @@ def test_wilson_as_published(successes: int, trials: int, low: float, high: floa
 )
 def test_clopper_pearson_as_published(successes: int, trials: int, low: float, high: float) -> None:
     assert clopper_pearson(successes, trials) == pytest.approx((low, high), abs=5e-5)
+
+
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [
+        # the same table, method 6
+        (81, 263, 0.2544, 0.3658),
+        (15, 148, 0.0601, 0.1581),
+        (0, 20, 0.0000, 0.1391),
+        (1, 29, 0.0017, 0.1585),
+    ],
+)
+def test_mid_p_as_published(successes: int, trials: int, low: float, high: float) -> None:
+    assert mid_p(successes, trials) == pytest.approx((low, high), abs=5e-5)
+
+
+def test_mid_p_has_both_ends_of_the_range() -> None:
+    assert mid_p(0, 0) == (0.0, 1.0)
+    assert mid_p(7, 7).high == 1.0
+    assert mid_p(7, 7).low == pytest.approx(1.0 - mid_p(0, 7).high)
 
 
 @pytest.mark.parametrize(("successes", "trials"), [(0, 7), (3, 7), (7, 7), (95, 100)])
