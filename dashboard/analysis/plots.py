@@ -127,6 +127,23 @@ def outcomes(title: str, found: Mapping[str, Mapping[str, OutcomeShare]]) -> Fig
     return figure
 
 
+def lines(
+    title: str, across: str, upwards: str, found: Mapping[str, Sequence[tuple[float, float | None]]]
+) -> Figure:
+    """Lines of one quantity over another, by name; each ends where there is no value (None).
+
+    :raises BadSpecError: if matplotlib is not installed.
+    """
+    figure = _figure(7.0, 4.0, title)
+    axis = figure.subplots()
+    for name, points in found.items():
+        known = [(x, y) for x, y in points if y is not None]
+        axis.plot([x for x, _ in known], [y for _, y in known], label=name)
+    axis.set(xlabel=across, ylabel=upwards)
+    axis.legend()
+    return figure
+
+
 def rates(rows: Sequence[tuple[str, float, float]], target: float | None) -> Figure:
     """Names, rates and their upper bounds, per hour, on a logarithmic axis; with the rate to stay below.
 

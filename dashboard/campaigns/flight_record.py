@@ -15,7 +15,8 @@ class Result:
 
     ``node`` is the node aimed at and ``node_result`` what became of it; empty in a flight without a fault.
     ``alarms`` counts the detector's after the fault, None without a detector, and ``recomputed`` those of
-    them about which something was done: an output was made again, dropped or replaced. ``harm`` names what
+    them about which something was done: an output was made again, dropped or replaced. ``overhead`` is the
+    part of virtual time that its checks and what was made again took, None as well. ``harm`` names what
     harmed the flight beside its twin, and ``harmed_at_s`` says when it began; empty if nothing did, None
     where it is not known or has no twin.
     ``proof`` is by what the outcome was proven, empty if it was flown.
@@ -39,6 +40,7 @@ class Result:
     twin_digest: str
     alarms: int | None
     recomputed: int
+    overhead: float | None
     harm: str | None
     harmed_at_s: float | None
     proof: str
@@ -49,10 +51,9 @@ class Result:
     def of(cls, outcome: Outcome) -> Result:
         """The columns that are stored of an outcome."""
         qof, record, twin = outcome.qof, outcome.injection, outcome.golden
+        detection = outcome.detection
         aimed = outcome.nodes.get(record.node) if record is not None else None
-        alarms = (
-            [one for one in outcome.detection.alarms if one.true] if outcome.detection is not None else None
-        )
+        alarms = [one for one in detection.alarms if one.true] if detection is not None else None
         harmed_ns = first_ns(outcome.harm or ())
         return cls(
             result=outcome.result,
@@ -73,6 +74,9 @@ class Result:
             twin_digest=twin.digest if twin is not None else "",
             alarms=len(alarms) if alarms is not None else None,
             recomputed=sum(one.action != "published" for one in alarms or ()),
+            overhead=detection.detection_share + detection.recomputation_share
+            if detection is not None
+            else None,
             harm=" ".join(kinds(outcome.harm)) if outcome.harm is not None else None,
             harmed_at_s=harmed_ns / 1e9 if harmed_ns is not None else None,
             proof=outcome.proof.by if outcome.proof is not None else "",

@@ -16,6 +16,8 @@ from dashboard.campaigns.results.compare import Comparison
 from dashboard.campaigns.results.summary import CellSummary
 from dashboard.campaigns.statistics.proportions import Interval
 from dashboard.campaigns.store.queries import CampaignEntry
+from dashboard.studies import ranks_page
+from dashboard.studies.ranking import RankAgreement
 from dashboard.studies.study import MissionStudy
 from dashboard.studies.verdict import Judged, in_words, judge
 from deploy.errors import BadSpecError
@@ -34,12 +36,13 @@ _HEADS = ("what", "unit", "paper", "ours", "low", "high", "verdict")
 
 
 class StudyResults(NamedTuple):
-    """All that was found by the campaign of a study."""
+    """All that was found by the campaign of a study; and ranks of kernels, if they were struck alone, too."""
 
     campaign: CampaignEntry
     records: Sequence[FlightRecord]
     lines: Sequence[CellSummary]
     compared: Sequence[Comparison]
+    ranks: Sequence[RankAgreement] = ()
 
 
 def write(folder: Path, study: MissionStudy, results: StudyResults) -> None:
@@ -55,6 +58,8 @@ def write(folder: Path, study: MissionStudy, results: StudyResults) -> None:
         found = [judge(one, results.records) for one in study.findings]
         if found:
             _write_findings(folder / FINDINGS, found)
+        if results.ranks:
+            ranks_page.write(folder / ranks_page.RANKS, results.ranks)
         plots.quality(study.title, results.lines).savefig(folder / FIGURE, metadata={"Date": None})
         (folder / SPEC).write_text(results.campaign.spec.model_dump_json(indent=1, exclude_unset=True) + "\n")
         (folder / PAGE).write_text(page(study, results, found))
@@ -68,6 +73,8 @@ def page(study: MissionStudy, results: StudyResults, found: Sequence[Judged]) ->
     parts = [f"# {study.title}", study.about, _made(study, results), f"![success and flight time]({FIGURE})"]
     if found:
         parts += ["## The paper's numbers beside ours", "\n".join(_side_by_side(found)), in_words(found)]
+    if results.ranks:
+        parts += ranks_page.sections(results.ranks)
     parts += results_page.tables(results.lines, results.compared)
     return "\n\n".join(parts) + "\n"
 
@@ -98,15 +105,20 @@ def _side_by_side(found: Sequence[Judged]) -> Iterator[str]:
     yield "| | unit | paper | ours (95 %) | |"
     yield "|---|---|---|---|---|"
     for one in found:
-        ours = _between(one.ours, one.interval)
-        yield f"| {one.value.what} | {one.value.unit} | {one.value.paper:.1f} | {ours} | {one.verdict} |"
+        beside = f"{_figures(one.value.paper)} | {_between(one.ours, one.interval)}"
+        yield f"| {one.value.what} | {one.value.unit} | {beside} | {one.verdict} |"
 
 
 def _between(value: float | None, interval: Interval | None) -> str:
     if value is None:
         return ""
-    told = f"{value:z.1f}"
-    return told if interval is None else f"{told} ({interval.low:z.1f} to {interval.high:z.1f})"
+    told = _figures(value)
+    return told if interval is None else f"{told} ({_figures(interval.low)} to {_figures(interval.high)})"
+
+
+def _figures(value: float) -> str:
+    """With a decimal, a small number with two figures: an overhead may be 0.004 %."""
+    return f"{value:z.1f}" if abs(value) >= 0.1 or value == 0 else f"{value:.2g}"
 
 
 def _write_findings(path: Path, found: Sequence[Judged]) -> None:

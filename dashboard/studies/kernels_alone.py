@@ -7,17 +7,14 @@ the rivals (Bonferroni).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Literal, NamedTuple
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from dashboard.analysis.kernel_study import shares
 from dashboard.campaigns.statistics.proportions import newcombe, wilson
 from dashboard.studies.verdict import Verdict
-from deploy.errors import BadSpecError
 from injector.kernel_study.results import StudyRun
 from services.kernels import PLANNERS
 from services.models.base import Strict
@@ -47,6 +44,7 @@ class KernelsAlone(Strict):
     kernels: tuple[str, ...] = KERNELS
     injections: int = Field(default=5000, ge=1, le=1_000_000, description="into each kernel")
     seed: int = Field(default=0, ge=0, lt=2**32)
+    fault: str = Field(default="", description="what is flipped, as `zenfi kernels run --fault` has it")
 
     def scaled(self, factor: float) -> KernelsAlone:
         """The same with so many times the injections."""
@@ -60,30 +58,6 @@ class Statement(NamedTuple):
     paper: str
     ours: str
     verdict: Verdict
-
-
-def load(name: str) -> KernelsAlone | None:
-    """The study that is named, or that a page's specification asks for; None if it is another one.
-
-    :raises BadSpecError: if a file asks for this study, and for something that it has not.
-    """
-    if name == KernelsAlone().name:
-        return KernelsAlone()
-    path = Path(name)
-    if path.suffix != ".json" or not path.is_file():
-        return None
-    try:
-        found = json.loads(path.read_text())
-    except (OSError, ValueError):
-        return None
-    if not isinstance(found, dict) or found.get("name") != KernelsAlone().name:
-        return None
-    try:
-        return KernelsAlone.model_validate_json(path.read_text())
-    except ValidationError as error:
-        first = error.errors()[0]
-        message = f"{path}: {'.'.join(map(str, first['loc']))}: {first['msg']}"
-        raise BadSpecError(message) from error
 
 
 def counts_of(found: Mapping[str, Sequence[StudyRun]]) -> dict[str, dict[str, int]]:

@@ -86,8 +86,10 @@ def page(asked: KernelsAlone, found: Sequence[StudiedKernel]) -> str:
 def _made(asked: KernelsAlone, found: Sequence[StudiedKernel]) -> str:
     injected = sum(one.summary.injected for one in found)
     attempted = sum(one.summary.attempted for one in found)
+    flipped = f" ({asked.fault})" if asked.fault else ""
     about = (
-        f"{asked.injections:,} injections into each of {len(found)} kernels, drawn from seed {asked.seed}; "
+        f"{asked.injections:,} injections{flipped} into each of {len(found)} kernels, drawn from "
+        f"seed {asked.seed}; "
         f"{injected:,} of {attempted:,} struck, on {machine()}."
     )
     again = f"zenfi study run {asked.name}     # at full size\nzenfi study run {SPEC}  # this page again"

@@ -103,6 +103,19 @@ def agreement(
     )
 
 
+def agreements(
+    injections: Mapping[str, Mapping[str, int]], spec: CampaignSpec, records: Sequence[FlightRecord]
+) -> list[RankAgreement]:
+    """Compare the ranking of kernels alone with that of each pilot's flights.
+
+    ``injections`` says of each kernel how many had each outcome.
+
+    :raises BadSpecError: as :func:`agreement`.
+    """
+    alone = {name: KernelRate(counts["sdc"], sum(counts.values())) for name, counts in injections.items()}
+    return [agreement(pilot, alone, harmed) for pilot, harmed in harm_by_kernel(spec, records).items()]
+
+
 def _interval(alone: Sequence[KernelRate], flown: Sequence[KernelRate], seed: int) -> Interval:
     generator = np.random.default_rng(seed)
     first, second = np.triu_indices(len(alone), 1)

@@ -14,11 +14,13 @@ from dashboard.studies.paper import FINDINGS, STUDIES, PaperValue
 class MissionStudy(NamedTuple):
     """An experiment that is flown by the preset of its name.
 
-    ``against`` is the arm beside which the others are compared, None for the golden twins.
+    ``against`` is the arm beside which the others are compared, None for the golden twins. ``alone`` are
+    the kernels that are struck alone as well, to compare their ranking with that in flight.
     """
 
     name: str
     against: str | None = None
+    alone: Sequence[str] = ()
 
     @property
     def findings(self) -> Sequence[PaperValue]:
@@ -48,9 +50,22 @@ _BESIDE = {
     "guards": "baseline",
 }
 
-OURS = ("guards", "difficulty", "wind", "recovery")
+_ALONE = {
+    "kernel-vs-system": (
+        "point_cloud",
+        "octomap",
+        "collision_check",
+        "rrt",
+        "rrt_connect",
+        "rrt_star",
+        "trajectory",
+        "pid",
+    )
+}
+
+OURS = ("kernel-vs-system", "guards", "recurrence", "difficulty", "wind", "recovery")
 """The studies that the paper has not."""
 
 TABLE: Mapping[str, MissionStudy] = MappingProxyType(
-    {name: MissionStudy(name, _BESIDE.get(name)) for name in (*STUDIES, *OURS)}
+    {name: MissionStudy(name, _BESIDE.get(name), _ALONE.get(name, ())) for name in (*STUDIES, *OURS)}
 )

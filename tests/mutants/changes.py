@@ -289,6 +289,26 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "dashboard/studies/redundant_computers.py",
+        "tests/dashboard/studies/test_redundant_computers.py",
+        (
+            "redundant computers: a fitted input confirms",
+            'return "fitted" if airframe in FITTED else "agrees"',
+            'return "agrees"',
+        ),
+        ("redundant computers: every factor agrees", "- 1) > CLOSE:", "- 1) > 1000 * CLOSE:"),
+    ),
+    *_of(
+        "dashboard/studies/paper.py",
+        "tests/dashboard/studies/test_paper.py",
+        (
+            "paper: what was proven counts as a flight that took no time",
+            "if not one.proof]",
+            "]",
+        ),
+        ("paper: an overhead is a part and no per cent", "[100 * one.overhead for", "[one.overhead for"),
+    ),
+    *_of(
         "dashboard/studies/kernels_alone.py",
         "tests/dashboard/studies/test_kernels_alone.py",
         (

@@ -10,7 +10,7 @@ import sqlalchemy as sa
 
 from deploy.errors import BadSpecError
 
-REVISION = "0009"
+REVISION = "0010"
 """The newest step in ``migrations/versions``."""
 
 

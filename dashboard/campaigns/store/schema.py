@@ -113,6 +113,7 @@ class ResultRow(Base):
     twin_digest: Mapped[str] = mapped_column(default="", server_default="")
     alarms: Mapped[int | None]
     recomputed: Mapped[int] = mapped_column(default=0, server_default="0")
+    overhead: Mapped[float | None]
     harm: Mapped[str | None]
     harmed_at_s: Mapped[float | None]
     proof: Mapped[str] = mapped_column(default="", server_default="")

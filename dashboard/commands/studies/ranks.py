@@ -11,7 +11,7 @@ from rich.table import Table
 
 from dashboard.campaigns.store.store import Store
 from dashboard.studies.kernels_alone import counts_of
-from dashboard.studies.ranking import KernelRate, RankAgreement, agreement, harm_by_kernel
+from dashboard.studies.ranking import RankAgreement, agreements
 from dashboard.terminal.options import as_json, in_store
 from deploy.errors import BadSpecError
 from deploy.kernel_study.file import kept_runs
@@ -31,15 +31,13 @@ def ranks(injections: Path, label: str, store: str, as_json: bool) -> None:
         message = f"{injections}: no such file; zenfi kernels run --output {injections} makes it"
         raise BadSpecError(message)
     found = counts_of(kept_runs(injections))
-    alone = {name: KernelRate(counts["sdc"], sum(counts.values())) for name, counts in found.items()}
     with closing(Store(store)) as opened:
         campaign = opened.find(label)
-        flown = harm_by_kernel(campaign.spec, list(opened.records(campaign)))
-    if not flown:
+        compared = agreements(found, campaign.spec, list(opened.records(campaign)))
+    if not compared:
         message = f"{label}: no fault struck a kernel's instructions; zenfi campaign run fig7 has such"
         raise BadSpecError(message)
-    for pilot, harmed in flown.items():
-        judged = agreement(pilot, alone, harmed)
+    for judged in compared:
         if as_json:
             click.echo(judged.model_dump_json())
             continue

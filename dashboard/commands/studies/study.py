@@ -18,9 +18,12 @@ from dashboard.campaigns.spec import CampaignSpec, load_campaign
 from dashboard.campaigns.store.store import Store
 from dashboard.commands.studies.design import design
 from dashboard.commands.studies.ranks import ranks
-from dashboard.studies import folder, kernels_page
-from dashboard.studies.kernels_alone import TITLE, KernelsAlone, statements
-from dashboard.studies.kernels_alone import load as load_alone
+from dashboard.studies import folder, kernels_alone, kernels_page, redundant_computers, specification
+from dashboard.studies.kernels_alone import KernelsAlone
+from dashboard.studies.kernels_page import StudiedKernel
+from dashboard.studies.ranking import agreements
+from dashboard.studies.redundant_computers import RedundantComputers
+from dashboard.studies.specification import MODELS, Computed
 from dashboard.studies.study import TABLE, MissionStudy
 from dashboard.terminal.options import as_json, in_store
 from deploy.errors import BadSpecError
@@ -42,7 +45,10 @@ study.add_command(design)
 @as_json
 def list_(as_json: bool) -> None:
     """The studies, what they are about, and how many numbers of the paper they are held against."""
-    lines: list[tuple[str, str, int]] = [(KernelsAlone().name, TITLE, len(statements({})))]
+    lines = [
+        (KernelsAlone().name, kernels_alone.TITLE, len(kernels_alone.statements({}))),
+        (RedundantComputers().name, redundant_computers.TITLE, len(redundant_computers.PAPER)),
+    ]
     lines += [(one.name, one.title, len(one.findings)) for one in TABLE.values()]
     if as_json:
         for one in lines:
@@ -76,11 +82,15 @@ def run(
     """Make the study NAME, or that of a page's FILE, and write its page, tables and figure.
 
     What the store has of the same specification is not flown again, so an interrupted study goes on. FILE is
-    campaign.json; of kernels alone it is kernels.json, and the folder keeps the injections.
+    campaign.json; of a study without flights it is kernels.json or redundancy.json. Where kernels are struck
+    alone the folder keeps the injections.
     """
-    alone = load_alone(name)
-    if alone is not None:
-        _strike(alone.scaled(scale), output or Path(alone.name), executor, slots)
+    computed = specification.load(name)
+    if computed is not None:
+        if executor is not None:
+            message = f"--executor: {computed.name} flies nothing, and is made on this machine; leave it out"
+            raise BadSpecError(message)
+        _compute(computed.scaled(scale), _made(output or Path(computed.name)), slots)
         return
     spec = load_campaign(name)
     found = find(spec)
@@ -94,40 +104,52 @@ def run(
         except KeyboardInterrupt:
             messages.print("zenfi: go on with the same command")
             raise
-    target = output if output is not None else Path(found.name)
+    target = _made(output or Path(found.name))
+    alone = KernelsAlone(kernels=tuple(found.alone)).scaled(scale) if found.alone else None
+    struck = {one.summary.kernel: one.runs for one in _strike(alone, target, slots)} if alone else {}
     with closing(Store(store)) as opened:
         campaign = opened.find(label)
         compared = side_by_side(opened, campaign, None, found.against)
         records = list(opened.records(campaign))
-        folder.write(
-            target, found, folder.StudyResults(campaign, records, summary(opened, campaign), compared)
-        )
+        ranks = agreements(kernels_alone.counts_of(struck), campaign.spec, records) if struck else ()
+        told = folder.StudyResults(campaign, records, summary(opened, campaign), compared, ranks)
+        folder.write(target, found, told)
     click.echo(f"{target / folder.PAGE}: {len(records)} runs of {label}")
 
 
-def _strike(asked: KernelsAlone, target: Path, executor: str | None, slots: int | None) -> None:
-    """Strike kernels alone and write their page."""
-    if executor is not None:
-        message = f"--executor: {asked.name} strikes kernels on this machine only; leave it out"
-        raise BadSpecError(message)
+def _made(target: Path) -> Path:
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         message = f"{target}: {error.strerror}"
         raise BadSpecError(message) from error
+    return target
+
+
+def _compute(asked: Computed, target: Path, slots: int | None) -> None:
+    """Make a study that flies nothing, and write its page."""
+    if isinstance(asked, RedundantComputers):
+        redundant_computers.write(target, asked)
+        click.echo(f"{target / folder.PAGE}: {len(asked.airframes)} airframes")
+        return
+    found = _strike(asked, target, slots)
+    kernels_page.write(target, asked, found)
+    attempted = sum(one.summary.attempted for one in found)
+    click.echo(f"{target / folder.PAGE}: {attempted} injections into {len(found)} kernels")
+
+
+def _strike(asked: KernelsAlone, target: Path, slots: int | None) -> list[StudiedKernel]:
+    """Strike kernels alone; what the folder has of the same is not struck again."""
     studies = kernel_studies(
         asked.kernels,
         asked.injections,
         seed=asked.seed,
         slots=slots,
-        fault="",
+        fault=asked.fault,
         output=target / kernels_page.INJECTIONS,
         progress=True,
     )
-    found = [kernels_page.StudiedKernel(one.summary, one.runs) for one in studies]
-    kernels_page.write(target, asked, found)
-    attempted = sum(one.summary.attempted for one in found)
-    click.echo(f"{target / folder.PAGE}: {attempted} injections into {len(found)} kernels")
+    return [StudiedKernel(one.summary, one.runs) for one in studies]
 
 
 def find(spec: CampaignSpec) -> MissionStudy:
@@ -136,7 +158,7 @@ def find(spec: CampaignSpec) -> MissionStudy:
     :raises BadSpecError: if it is of none.
     """
     if spec.name not in TABLE:
-        message = f"{spec.name}: no study; there are {', '.join((KernelsAlone().name, *TABLE))}"
+        message = f"{spec.name}: no study; there are {', '.join((*MODELS, *TABLE))}"
         raise BadSpecError(message)
     return TABLE[spec.name]
 

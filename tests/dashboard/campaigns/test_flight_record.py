@@ -52,6 +52,7 @@ def result(
         twin_digest="twin" if faulty else "",
         alarms=None,
         recomputed=0,
+        overhead=None,
         proof="",
         harm=harm if faulty else None,
         harmed_at_s=12.5 if faulty and harm else None,

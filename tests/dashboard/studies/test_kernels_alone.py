@@ -1,12 +1,9 @@
 """The paper's statements on kernels alone hold only beyond the intervals."""
 
-from pathlib import Path
-
 import pytest
 
-from dashboard.studies.kernels_alone import KernelsAlone, Statement, counts_of, load, statements
+from dashboard.studies.kernels_alone import KernelsAlone, Statement, counts_of, statements
 from dashboard.studies.verdict import Verdict
-from deploy.errors import BadSpecError
 from tests.dashboard.commands.test_kernels import run
 
 
@@ -68,20 +65,6 @@ def test_a_few_injections_resolve_nothing_and_none_claim_nothing() -> None:
 def test_only_the_injected_count() -> None:
     runs = [run(0, "benign", "rax"), run(1, "sdc", "rax"), run(2, "not_injected", "rax")]
     assert sum(counts_of({"pid": runs})["pid"].values()) == 2
-
-
-def test_a_specification_is_read_back(tmp_path: Path) -> None:
-    asked = KernelsAlone(kernels=("pid", "rrt", "octomap"), injections=7, seed=3)
-    path = tmp_path / "kernels.json"
-    path.write_text(asked.model_dump_json())
-    assert load(str(path)) == asked
-    assert load("fig6") == KernelsAlone()
-    assert load("fig6.toml") is None
-    path.write_text('{"name": "fig7"}')
-    assert load(str(path)) is None
-    path.write_text('{"name": "fig6", "injections": 0}')
-    with pytest.raises(BadSpecError, match=r"kernels.json: injections: .*greater than or equal to 1"):
-        load(str(path))
 
 
 def test_a_scale_never_leaves_a_kernel_without_an_injection() -> None:

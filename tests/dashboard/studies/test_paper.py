@@ -1,7 +1,7 @@
 """Our numbers beside the paper's are what they are said to be."""
 
 from dataclasses import replace
-from math import exp
+from math import exp, sqrt
 
 import pytest
 
@@ -23,6 +23,11 @@ def flown(arm: str, fault: str, *times_s: float, twin_s: float = 10.0) -> list[F
     ]
 
 
+def with_overhead(flight: FlightRecord, part: float) -> FlightRecord:
+    assert flight.result is not None
+    return replace(flight, result=replace(flight.result, overhead=part))
+
+
 def test_success_is_a_part_and_the_worst_is_beside_its_own_twin() -> None:
     assert success([]) is None
     assert success([record(0), record(1, success=False)]) == 50
@@ -37,6 +42,32 @@ def test_removed_is_the_part_of_the_worst_delay_that_is_gone() -> None:
     assert found["factory, gaussian: of that delay removed (Fig. 12)"] == pytest.approx(60)
     assert found["factory, autoencoder: of that delay removed (Fig. 12)"] is None
     assert found["farm, injected: success"] is None
+
+
+def test_overhead_is_the_mean_of_those_that_have_a_detector() -> None:
+    bare, kept = flown("bare", "golden", 10.0), flown("gaussian", "golden", 10.0, 10.0, 10.0)
+    parts = (0.01, 0.02, 0.03)
+    records = bare + [with_overhead(one, part) for one, part in zip(kept, parts, strict=True)]
+    found = {one.what: one for one in FINDINGS["table4"]}
+    overhead = found["factory, gaussian: detection and recomputation (Table V)"]
+    assert overhead.paper == pytest.approx(1.981)
+    assert overhead.ours(records) == pytest.approx(2.0)
+    assert overhead.interval(records) == pytest.approx((2 - 1.96 / sqrt(3), 2 + 1.96 / sqrt(3)), abs=1e-3)
+    assert found["farm, gaussian: detection and recomputation (Table V)"].ours(records) is None
+
+
+def test_the_cost_of_a_flight_is_that_of_those_that_were_flown() -> None:
+    one, proven = record(0), record(1)
+    assert one.result is not None
+    assert proven.result is not None
+    times = (2.0, 4.0)
+    records = [replace(one, result=replace(one.result, wall_s=t)) for t in times]
+    records.append(replace(proven, result=replace(proven.result, wall_s=0.0, proof="kernel output")))
+    (single, thousand) = FINDINGS["table1"]
+    assert (single.unit, thousand.unit) == ("s", "h")
+    assert single.ours(records) == pytest.approx(3.0)
+    assert thousand.ours(records) == pytest.approx(3000 / 3600)
+    assert single.interval(records[:1]) is None
 
 
 def test_means_are_over_the_golden_ones() -> None:
@@ -76,7 +107,7 @@ def test_every_study_is_a_preset_whose_arms_the_findings_name() -> None:
     for name, findings in FINDINGS.items():
         assert "The paper" in TABLE[name].about
         records = [
-            replace(record(n, twin_success=True, twin_flight_time_s=10.0), cell=cell)
+            replace(with_overhead(record(n, twin_success=True, twin_flight_time_s=10.0), 0.01), cell=cell)
             for n, cell in enumerate(cells(load_campaign(name)))
         ]
         for one in findings:

@@ -75,7 +75,7 @@ Store(Path(sys.argv[1]))
 
 
 @pytest.mark.parametrize(
-    "at", ["ADD COLUMN alarms", "INSERT INTO outcomes", "DROP COLUMN", "version_num='0009'"]
+    "at", ["ADD COLUMN alarms", "INSERT INTO outcomes", "DROP COLUMN", "version_num='0010'"]
 )
 def test_killed_while_it_is_brought_up_to_date_a_store_is_as_it_was(at: str, tmp_path: Path) -> None:
     folder = written(WRITTEN[0], tmp_path / "store")
@@ -201,8 +201,9 @@ def documents(connection: sa.Connection, outcomes: str = "results") -> list[list
 
 
 def as_in_0008(connection: sa.Connection) -> None:
-    """Undo form 0009, on either database."""
+    """Undo forms 0010 and 0009, on either database."""
     for statement in (
+        "ALTER TABLE results DROP COLUMN overhead",
         "ALTER TABLE results ADD COLUMN outcome TEXT",
         "UPDATE results SET outcome = (SELECT outcome FROM outcomes WHERE outcomes.run_id = results.run_id)",
         "DROP TABLE outcomes",

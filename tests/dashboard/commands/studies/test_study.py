@@ -32,7 +32,7 @@ def study(store: Path, *arguments: object) -> str:
 
 def test_all_studies_are_listed() -> None:
     told = [json.loads(line) for line in zenfi("study", "list", "--json").stdout.splitlines()]
-    assert [one["name"] for one in told] == ["fig6", *TABLE]
+    assert [one["name"] for one in told] == ["fig6", "fig15", *TABLE]
     assert {one["name"]: one["findings"] for one in told}["table3"] == 13
     shown = zenfi("study", "list").stdout
     assert all(one.title in shown for one in TABLE.values())
@@ -124,5 +124,29 @@ def test_kernels_are_ranked_alone_and_in_flight(struck: Path, tmp_path: Path) ->
     assert "zenfi kernels run --output" in absent
 
 
-def test_kernels_alone_fly_nowhere_else() -> None:
-    assert "leave it out" in refusal("study", "run", "fig6", "--executor", "dask")
+@pytest.mark.parametrize("name", ["fig6", "fig15"])
+def test_what_flies_nothing_is_made_nowhere_else(name: str) -> None:
+    assert "leave it out" in refusal("study", "run", name, "--executor", "dask")
+
+
+def test_redundant_computers_leave_a_page_that_is_made_again(tmp_path: Path) -> None:
+    assert "fig15/README.md: 2 airframes" in study(
+        tmp_path / "store", "fig15", "--output", tmp_path / "fig15"
+    )
+    study(tmp_path / "store", tmp_path / "fig15" / "redundancy.json", "--output", tmp_path / "again")
+    for name in ("README.md", "times.csv", "redundancy.json"):
+        assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "fig15" / name).read_bytes()
+    (tmp_path / "absent.json").write_text('{"name": "fig15", "airframes": ["absent"]}')
+    assert "absent" in refusal("study", "run", tmp_path / "absent.json", "--output", tmp_path / "again")
+
+
+def test_kernels_alone_and_in_flight_are_ranked_on_one_page(tmp_path: Path) -> None:
+    folder = tmp_path / "ranked"
+    study(tmp_path / "store", "kernel-vs-system", "--scale", 0.01, "--output", folder)
+    page = (folder / "README.md").read_text()
+    assert "## Kernels alone beside kernels in flight" in page
+    assert page.count("Kendall's tau ") == 2
+    with (folder / "ranks.csv").open(newline="") as file:
+        rows = [(row["pilot"], row["kernel"], row["injected"]) for row in csv.DictReader(file)]
+    kernels = TABLE["kernel-vs-system"].alone
+    assert rows == [(pilot, kernel, "50") for pilot in ("baseline", "guarded") for kernel in kernels]

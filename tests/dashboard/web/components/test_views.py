@@ -47,6 +47,7 @@ RESULT = Result(
     harmed_at_s=None,
     alarms=None,
     recomputed=0,
+    overhead=None,
     proof="",
     digest="",
     wall_s=1.0,
