@@ -63,7 +63,7 @@ def page(asked: KernelsAlone, found: Sequence[StudiedKernel]) -> str:
     """The page: what was asked and made, the paper's statements beside ours, all outcomes."""
     judged = statements(counts_of({one.summary.kernel: one.runs for one in found}))
     parts = [
-        f"# {TITLE}",
+        f"# {TITLE}" + (f" ({asked.fault})" if asked.fault else ""),
         ABOUT,
         _made(asked, found),
         f"![outcomes of each kernel]({FIGURE})",
@@ -86,13 +86,14 @@ def page(asked: KernelsAlone, found: Sequence[StudiedKernel]) -> str:
 def _made(asked: KernelsAlone, found: Sequence[StudiedKernel]) -> str:
     injected = sum(one.summary.injected for one in found)
     attempted = sum(one.summary.attempted for one in found)
-    flipped = f" ({asked.fault})" if asked.fault else ""
     about = (
-        f"{asked.injections:,} injections{flipped} into each of {len(found)} kernels, drawn from "
+        f"{asked.injections:,} injections into each of {len(found)} kernels, drawn from "
         f"seed {asked.seed}; "
         f"{injected:,} of {attempted:,} struck, on {machine()}."
     )
-    again = f"zenfi study run {asked.name}     # at full size\nzenfi study run {SPEC}  # this page again"
+    again = f"zenfi study run {SPEC}  # this page again"
+    if asked == KernelsAlone():
+        again = f"zenfi study run {asked.name}\n{again}"
     return f"{about}\n\n```\n{again}\n```"
 
 

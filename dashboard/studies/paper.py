@@ -8,7 +8,7 @@ from math import exp, log, sqrt
 from statistics import mean, variance
 
 from dashboard.campaigns.flight_record import FlightRecord, Result
-from dashboard.campaigns.statistics.proportions import Interval, wilson, z_of
+from dashboard.campaigns.statistics.proportions import Interval, newcombe, wilson, z_of
 
 Records = Sequence[FlightRecord]
 Reckoned = Callable[[Records], float | None]
@@ -152,6 +152,22 @@ def _largest_loss(records: Records) -> float | None:
     return golden - min(rates) if golden is not None and rates else None
 
 
+def _largest_loss_between(records: Records) -> Interval | None:
+    """The largest of all arms' losses lies between the largest ends of their intervals (Bonferroni)."""
+    golden = results(_of(records, "golden"))
+    flown = [results(_of(records, arm)) for arm in {one.cell.arm for one in records} - {"golden"}]
+    arms = [one for one in flown if one]
+    if not golden or not arms:
+        return None
+    level = 1 - (1 - LEVEL) / len(arms)
+    losses = [newcombe((_successes(golden), _successes(one)), (len(golden), len(one)), level) for one in arms]
+    return Interval(*(100 * max(ends) for ends in zip(*losses, strict=True)))
+
+
+def _successes(flown: Sequence[Result]) -> int:
+    return sum(one.success for one in flown)
+
+
 def _table1() -> list[PaperValue]:
     return [
         _wall("a flight on one slot, mean", "s", 300.0, 1.0),
@@ -179,7 +195,9 @@ def _flown_s(records: Records) -> list[float]:
 def _fig7() -> list[PaperValue]:
     return [
         PaperValue("longest flight over its golden twin", "%", 57.3, worst),
-        PaperValue("largest loss of success", "points", 8.0, _largest_loss),
+        PaperValue(
+            "largest loss of success", "points", 8.0, _largest_loss, _largest_loss_between, lambda _: 0.0
+        ),
     ]
 
 

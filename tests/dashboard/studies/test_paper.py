@@ -8,9 +8,10 @@ import pytest
 from dashboard.campaigns.flight_record import FlightRecord
 from dashboard.campaigns.presets import presets
 from dashboard.campaigns.spec import Cell, cells, load_campaign
-from dashboard.campaigns.statistics.proportions import wilson
+from dashboard.campaigns.statistics.proportions import newcombe, wilson
 from dashboard.studies.paper import FINDINGS, STUDIES, success, worst
 from dashboard.studies.study import TABLE
+from dashboard.studies.verdict import judge
 from tests.dashboard.web.components.test_views import record
 
 
@@ -99,6 +100,22 @@ def test_numbers_of_many_flights_have_intervals_and_the_longest_of_them_has_none
     assert over == pytest.approx((100 * (1.1 * exp(-spread) - 1), 100 * (1.1 * exp(spread) - 1)))
     (longest, _) = FINDINGS["fig7"]
     assert longest.interval(records) is None
+
+
+def test_the_largest_loss_is_bounded_by_all_arms_together() -> None:
+    def arm(name: str, lost: int) -> list[FlightRecord]:
+        flights = [record(n, success=n >= lost) for n in range(100)]
+        return [replace(one, cell=Cell(name, "sparse", "")) for one in flights]
+
+    (_, loss) = FINDINGS["fig7"]
+    records = [*arm("golden", 2), *arm("pid", 12), *arm("octomap", 2)]
+    assert loss.ours(records) == pytest.approx(10)
+    low, high = newcombe((98, 88), (100, 100), 0.975)
+    assert loss.interval(records) == pytest.approx((100 * low, 100 * high))
+    assert judge(loss, records).verdict == "confirmed"
+    assert judge(loss, [*arm("golden", 2), *arm("pid", 7)]).verdict == "not resolved"
+    assert judge(loss, [*arm("golden", 0), *arm("pid", 0)]).verdict == "not confirmed"
+    assert loss.interval(arm("golden", 0)) is None
 
 
 def test_every_study_is_a_preset_whose_arms_the_findings_name() -> None:

@@ -65,6 +65,20 @@ def test_a_page_is_made_again_from_its_specification_without_a_flight(
         assert [one.label for one in opened.campaigns()] == ["table3-1"]
 
 
+@pytest.mark.soak
+@pytest.mark.parametrize("name", TABLE)
+def test_every_study_is_made_at_a_tiny_scale_and_made_again(name: str, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    study(store, name, "--scale", 0.0001, "--output", tmp_path / name)
+    page = (tmp_path / name / "README.md").read_text()
+    assert page.startswith(f"# {TABLE[name].title}\n")
+    assert ", 0 could not be flown." in page.replace("\n", " ")
+    with (tmp_path / name / "cells.csv").open(newline="") as file:
+        assert all(int(row["runs"]) >= 1 for row in csv.DictReader(file))
+    study(store, tmp_path / name / "campaign.json", "--output", tmp_path / "again")
+    assert (tmp_path / "again" / "runs.csv").read_bytes() == (tmp_path / name / "runs.csv").read_bytes()
+
+
 def test_bad_input_is_one_clear_line(tmp_path: Path) -> None:
     assert "table3" in refusal("study", "run", "demo", "--store", tmp_path / "store")
     assert "absent.toml" in refusal("study", "run", tmp_path / "absent.toml", "--store", tmp_path / "store")
