@@ -195,6 +195,16 @@ def trade_off(
     return figure
 
 
+def svg(figure: Figure) -> str:
+    """A figure as SVG, the same bytes for the same figure."""
+    matplotlib: Any = installed("matplotlib", "plot")
+    drawn = BytesIO()
+    # Names of parts are random otherwise, and the file tells when it was made.
+    with matplotlib.rc_context({"svg.hashsalt": "zenfi"}):
+        figure.savefig(drawn, format="svg", metadata={"Date": None})
+    return drawn.getvalue().decode()
+
+
 def _figure(width: float, height: float, title: str) -> Figure:
     """A figure of so many inches that belongs to nobody: pyplot would keep every one."""
     made = _shown_figure()(figsize=(width, height), layout="constrained")

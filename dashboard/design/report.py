@@ -268,9 +268,6 @@ def _table(lines: Sequence[DesignLine]) -> str:
 
 
 def _figure(found: DesignStudy) -> str:
-    drawn = StringIO()
     others = [(time, bound) for bound, time, _, _ in found.evaluated]
     best = [(one.name, one.flight_time.mean, one.bound_per_hour, one.mass_kg) for one in found.front]
-    made = plots.trade_off(others, best, found.budget.target_per_hour)
-    made.savefig(drawn, format="svg", metadata={"Date": None})
-    return drawn.getvalue()
+    return plots.svg(plots.trade_off(others, best, found.budget.target_per_hour))

@@ -99,11 +99,9 @@ def more(evidence: Evidence) -> str:
 
 def _figure(evidence: Evidence) -> str:
     """The elements' rates as SVG without its XML head."""
-    drawn = StringIO()
     rows = [(line.element, line.rate_per_hour, line.bound_per_hour) for line in evidence.lines]
     rows.append(("all", evidence.rate_per_hour, evidence.bound_per_hour))
-    plots.rates(rows, evidence.target_per_hour).savefig(drawn, format="svg", metadata={"Date": None})
-    text = drawn.getvalue()
+    text = plots.svg(plots.rates(rows, evidence.target_per_hour))
     return text[text.index("<svg") :]
 
 

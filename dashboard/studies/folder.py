@@ -60,7 +60,7 @@ def write(folder: Path, study: MissionStudy, results: StudyResults) -> None:
             _write_findings(folder / FINDINGS, found)
         if results.ranks:
             ranks_page.write(folder / ranks_page.RANKS, results.ranks)
-        plots.quality(study.title, results.lines).savefig(folder / FIGURE, metadata={"Date": None})
+        (folder / FIGURE).write_text(plots.svg(plots.quality(study.title, results.lines)))
         (folder / SPEC).write_text(results.campaign.spec.model_dump_json(indent=1, exclude_unset=True) + "\n")
         (folder / PAGE).write_text(page(study, results, found))
     except OSError as error:

@@ -51,7 +51,7 @@ def write(folder: Path, asked: KernelsAlone, found: Sequence[StudiedKernel]) -> 
     try:
         _write_outcomes(folder / OUTCOMES, found)
         figure = plots.outcomes(TITLE, {one.summary.kernel: one.summary.shares for one in found})
-        figure.savefig(folder / FIGURE, metadata={"Date": None})
+        (folder / FIGURE).write_text(plots.svg(figure))
         (folder / SPEC).write_text(asked.model_dump_json(indent=1) + "\n")
         (folder / PAGE).write_text(page(asked, found))
     except OSError as error:

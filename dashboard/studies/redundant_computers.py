@@ -88,7 +88,7 @@ def write(folder: Path, asked: RedundantComputers) -> None:
         figure = plots.lines(
             TITLE, "each further computer, g", "flight time, times that with one", _curves(asked)
         )
-        figure.savefig(folder / FIGURE, metadata={"Date": None})
+        (folder / FIGURE).write_text(plots.svg(figure))
         (folder / SPEC).write_text(asked.model_dump_json(indent=1) + "\n")
         (folder / PAGE).write_text(page(asked, rows))
     except OSError as error:

@@ -47,3 +47,10 @@ def test_rates_are_drawn_with_their_bounds_and_the_target() -> None:
     ends = [list(np.asarray(line.get_xdata())) for line in axis.lines]
     assert [1e-9, 1e-8] in ends
     assert [0.0] not in ends
+
+
+def test_the_same_figure_is_the_same_svg() -> None:
+    found = {"a": [(0.0, 1.0), (1.0, 2.0), (2.0, None)]}
+    first, second = (plots.svg(plots.lines("lines", "x", "y", found)) for _ in range(2))
+    assert first == second
+    assert "clip-path" in first

@@ -59,7 +59,7 @@ def test_a_page_is_made_again_from_its_specification_without_a_flight(
 ) -> None:
     folder, store = flown
     study(store, folder / "campaign.json", "--output", tmp_path / "again")
-    for name in ("README.md", "findings.csv", "runs.csv", "campaign.json"):
+    for name in ("README.md", "findings.csv", "runs.csv", "quality.svg", "campaign.json"):
         assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
     with closing(Store(str(store))) as opened:
         assert [one.label for one in opened.campaigns()] == ["table3-1"]
@@ -110,7 +110,7 @@ def test_kernels_alone_leave_a_page_a_table_a_figure_and_every_injection(struck:
 def test_a_page_of_kernels_is_made_again_from_its_specification(struck: Path, tmp_path: Path) -> None:
     answer = zenfi("study", "run", struck / "kernels.json", "--output", tmp_path)
     assert answer.returncode == 0, answer.stderr
-    for name in ("README.md", "outcomes.csv", "kernels.json", "injections.jsonl"):
+    for name in ("README.md", "outcomes.csv", "quality.svg", "kernels.json", "injections.jsonl"):
         assert (tmp_path / name).read_bytes() == (struck / name).read_bytes()
 
 
@@ -148,7 +148,7 @@ def test_redundant_computers_leave_a_page_that_is_made_again(tmp_path: Path) -> 
         tmp_path / "store", "fig15", "--output", tmp_path / "fig15"
     )
     study(tmp_path / "store", tmp_path / "fig15" / "redundancy.json", "--output", tmp_path / "again")
-    for name in ("README.md", "times.csv", "redundancy.json"):
+    for name in ("README.md", "times.csv", "quality.svg", "redundancy.json"):
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "fig15" / name).read_bytes()
     (tmp_path / "absent.json").write_text('{"name": "fig15", "airframes": ["absent"]}')
     assert "absent" in refusal("study", "run", tmp_path / "absent.json", "--output", tmp_path / "again")
