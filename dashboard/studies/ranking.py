@@ -90,17 +90,22 @@ def agreement(
     if unstruck is not None:
         message = f"{pilot}: no fault struck {unstruck}; strike it more often"
         raise BadSpecError(message)
-    tau = float(
-        kendalltau([alone[name].rate for name in names], [flown[name].rate for name in names]).statistic
-    )
-    low, high = _interval([alone[name] for name in names], [flown[name] for name in names], seed)
+    tau, ends = rank_correlation([alone[name] for name in names], [flown[name] for name in names], seed)
     return RankAgreement(
         pilot=pilot,
         kernels=[_ranked(name, alone[name], flown[name]) for name in names],
-        tau=None if np.isnan(tau) else tau,
-        low=low,
-        high=high,
+        tau=tau,
+        low=ends.low,
+        high=ends.high,
     )
+
+
+def rank_correlation(
+    first: Sequence[KernelRate], second: Sequence[KernelRate], seed: int = 0
+) -> tuple[float | None, Interval]:
+    """Kendall's tau-b of two rankings of the same things (None if one ranks nothing), its 95 % interval."""
+    tau = float(kendalltau([one.rate for one in first], [one.rate for one in second]).statistic)
+    return None if np.isnan(tau) else tau, _interval(first, second, seed)
 
 
 def agreements(

@@ -289,6 +289,20 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "dashboard/studies/recurring.py",
+        "tests/dashboard/studies/test_recurring.py",
+        (
+            "recurring: each ranking is compared with itself",
+            "[rates[name] for name in places])",
+            "[once[name] for name in places])",
+        ),
+        (
+            "recurring: a fault that did not strike counts",
+            'result is None or result.injection != "injected" or',
+            "result is None or",
+        ),
+    ),
+    *_of(
         "dashboard/studies/redundant_computers.py",
         "tests/dashboard/studies/test_redundant_computers.py",
         (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from dashboard.campaigns.executors.choice import FORM, parse_executor
+from dashboard.campaigns.flight_record import FlightRecord
 from dashboard.campaigns.presets import scaled
 from dashboard.campaigns.results.compare import side_by_side
 from dashboard.campaigns.results.summary import summary
@@ -21,7 +23,7 @@ from dashboard.commands.studies.ranks import ranks
 from dashboard.studies import folder, kernels_alone, kernels_page, redundant_computers, specification
 from dashboard.studies.kernels_alone import KernelsAlone
 from dashboard.studies.kernels_page import StudiedKernel
-from dashboard.studies.ranking import agreements
+from dashboard.studies.ranking import RankAgreement, agreements
 from dashboard.studies.redundant_computers import RedundantComputers
 from dashboard.studies.specification import MODELS, Computed
 from dashboard.studies.study import TABLE, MissionStudy
@@ -111,7 +113,7 @@ def run(
         campaign = opened.find(label)
         compared = side_by_side(opened, campaign, None, found.against)
         records = list(opened.records(campaign))
-        ranks = agreements(kernels_alone.counts_of(struck), campaign.spec, records) if struck else ()
+        ranks = _ranks(kernels_alone.counts_of(struck), campaign.spec, records) if struck else ()
         told = folder.StudyResults(campaign, records, summary(opened, campaign), compared, ranks)
         folder.write(target, found, told)
     click.echo(f"{target / folder.PAGE}: {len(records)} runs of {label}")
@@ -124,6 +126,17 @@ def _made(target: Path) -> Path:
         message = f"{target}: {error.strerror}"
         raise BadSpecError(message) from error
     return target
+
+
+def _ranks(
+    injections: Mapping[str, kernels_alone.Counts], spec: CampaignSpec, records: Sequence[FlightRecord]
+) -> Sequence[RankAgreement]:
+    """The ranks of kernels; none, and said, if too few were struck."""
+    try:
+        return agreements(injections, spec, records)
+    except BadSpecError as error:
+        messages.print(f"zenfi: the page has no ranks of kernels: {error}")
+        return ()
 
 
 def _compute(asked: Computed, target: Path, slots: int | None) -> None:
