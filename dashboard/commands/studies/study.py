@@ -29,6 +29,7 @@ from dashboard.studies.specification import MODELS, Computed
 from dashboard.studies.study import TABLE, MissionStudy
 from dashboard.terminal.options import as_json, in_store
 from deploy.errors import BadSpecError
+from sim.vehicle.airframe import BadAirframeError
 from zenfi.campaign import Campaign, StoredCampaign
 from zenfi.kernels import kernel_studies
 
@@ -142,7 +143,10 @@ def _ranks(
 def _compute(asked: Computed, target: Path, slots: int | None) -> None:
     """Make a study that flies nothing, and write its page."""
     if isinstance(asked, RedundantComputers):
-        redundant_computers.write(target, asked)
+        try:
+            redundant_computers.write(target, asked)
+        except BadAirframeError as error:
+            raise BadSpecError(str(error)) from error
         click.echo(f"{target / folder.PAGE}: {len(asked.airframes)} airframes")
         return
     found = _strike(asked, target, slots)

@@ -154,6 +154,7 @@ def test_redundant_computers_leave_a_page_that_is_made_again(tmp_path: Path) -> 
     assert "absent" in refusal("study", "run", tmp_path / "absent.json", "--output", tmp_path / "again")
 
 
+@pytest.mark.soak
 def test_kernels_alone_and_in_flight_are_ranked_on_one_page(tmp_path: Path) -> None:
     folder = tmp_path / "ranked"
     study(tmp_path / "store", "kernel-vs-system", "--scale", 0.01, "--output", folder)
