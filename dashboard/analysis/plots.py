@@ -144,6 +144,33 @@ def lines(
     return figure
 
 
+def heat_map(
+    title: str,
+    down: Sequence[str],
+    across: Sequence[str],
+    found: Mapping[tuple[int, int], tuple[float, str]],
+) -> Figure:
+    """Fields by row and column, coloured by a number of per cent, with what is written in them.
+
+    :raises BadSpecError: if matplotlib is not installed.
+    """
+    figure = _figure(2.5 + 1.2 * len(across), 1.2 + 0.3 * max(len(down), 1), title)
+    axis = figure.subplots()
+    values = [
+        [found.get((row, column), (float("nan"), ""))[0] for column in range(len(across))]
+        for row in range(len(down))
+    ]
+    axis.imshow(values or [[float("nan")]], cmap="OrRd", vmin=0, vmax=100, aspect="auto")
+    for (row, column), (value, text) in found.items():
+        axis.text(
+            column, row, text, ha="center", va="center", color="white" if value > 60 else "black", fontsize=8
+        )
+    axis.set(
+        xticks=range(len(across)), xticklabels=list(across), yticks=range(len(down)), yticklabels=list(down)
+    )
+    return figure
+
+
 def rates(rows: Sequence[tuple[str, float, float]], target: float | None) -> Figure:
     """Names, rates and their upper bounds, per hour, on a logarithmic axis; with the rate to stay below.
 

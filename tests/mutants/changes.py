@@ -289,6 +289,13 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "dashboard/studies/sensitivity.py",
+        "tests/dashboard/studies/test_sensitivity.py",
+        ("map: phases are those of seconds", "/ result.twin_flight_time_s\n", "\n"),
+        ("map: the top bit is of the exponent", '"sign" if place == element_bits - 1 else ', ""),
+        ("map: what recurs stands in the field of its first strike", "if record.strikes:", "if False:"),
+    ),
+    *_of(
         "dashboard/studies/recurring.py",
         "tests/dashboard/studies/test_recurring.py",
         (

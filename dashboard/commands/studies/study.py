@@ -19,6 +19,7 @@ from dashboard.campaigns.results.summary import summary
 from dashboard.campaigns.spec import CampaignSpec, load_campaign
 from dashboard.campaigns.store.store import Store
 from dashboard.commands.studies.design import design
+from dashboard.commands.studies.map import map_
 from dashboard.commands.studies.ranks import ranks
 from dashboard.studies import folder, kernels_alone, kernels_page, redundant_computers, specification
 from dashboard.studies.kernels_alone import KernelsAlone
@@ -188,3 +189,4 @@ def _flown_before(spec: CampaignSpec, store: str) -> str | None:
 
 
 study.add_command(ranks)
+study.add_command(map_)

@@ -65,6 +65,17 @@ def test_a_page_is_made_again_from_its_specification_without_a_flight(
         assert [one.label for one in opened.campaigns()] == ["table3-1"]
 
 
+def test_what_was_flown_is_mapped_by_place_bits_and_phase(flown: tuple[Path, Path], tmp_path: Path) -> None:
+    _, store = flown
+    answer = zenfi("study", "map", "table3-1", "--json", "--output", tmp_path / "map", "--store", store)
+    assert answer.returncode == 0, answer.stderr
+    told = [json.loads(line) for line in answer.stdout.splitlines()]
+    assert sum(one["struck"] for one in told) == 3
+    assert all("acceleration" in one["place"] or one["place"].startswith("trajectory.a") for one in told)
+    assert "3 faults struck once" in (tmp_path / "map" / "README.md").read_text()
+    assert "absent-1" in refusal("study", "map", "absent-1", "--store", store)
+
+
 @pytest.mark.soak
 @pytest.mark.parametrize("name", TABLE)
 def test_every_study_is_made_at_a_tiny_scale_and_made_again(name: str, tmp_path: Path) -> None:
