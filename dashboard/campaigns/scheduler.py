@@ -166,5 +166,6 @@ class Scheduler:
     def _finished(self, index: int, outcome: Outcome | None) -> Finished:
         run = self._planned[index]
         if outcome is not None:
-            self._rule.add(run.cell, run.index, success=outcome.qof.success)
+            harm = bool(outcome.harm) if outcome.harm is not None else None
+            self._rule.add(run.cell, run.index, success=outcome.qof.success, harm=harm)
         return Finished(index, run, outcome, self.states.runs[index].error)

@@ -53,10 +53,12 @@ def scheduling(
         running = stack.enter_context(
             closing(open_executor(executor, slots, limits.lease_s, store.artefacts(campaign), order))
         )
-        rule = StoppingRule(campaign.spec.stop, (run.cell for run in planned.values()), campaign.spec.runs)
+        rule = StoppingRule(campaign.spec.stop, planned.values(), campaign.spec.runs)
         for record in store.records(campaign):
-            if record.result is not None:
-                rule.add(record.cell, record.number, success=record.result.success)
+            result = record.result
+            if result is not None:
+                harm = bool(result.harm) if result.harm is not None else None
+                rule.add(record.cell, record.number, success=result.success, harm=harm)
         scheduler = Scheduler(
             store.states(campaign),
             planned,

@@ -56,13 +56,24 @@ class Arm(Condition):
 
 
 class StoppingSpec(Strict):
-    """Stop at the first of ``looks`` (runs per cell) at which every cell's success is known to +- ``margin``.
+    """Stop at the first of ``looks`` (runs per cell) at which every cell's rate is known well enough.
 
-    The intervals' level is 1 - 0.05 / (number of looks), so that all looks together err in 5 %.
+    Known to +- ``margin``, or to +- ``relative`` times itself, which a rate of 0 never is. The rate is that
+    of missions that fail or, ``of`` harm, of flights that a fault harmed beside their golden twin; golden
+    cells then do not count. The intervals' level is 1 - 0.05 / (number of looks), so that all looks together
+    err in 5 %.
     """
 
-    margin: float = Field(gt=0, lt=0.5)
+    margin: float | None = Field(default=None, gt=0, lt=0.5)
+    relative: float | None = Field(default=None, gt=0, le=1)
+    of: Literal["failure", "harm"] = "failure"
     looks: tuple[int, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _one_precision(self) -> StoppingSpec:
+        if (self.margin is None) == (self.relative is None):
+            raise ValueError("give either margin or relative")
+        return self
 
 
 class CampaignLimits(Strict):

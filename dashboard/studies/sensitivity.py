@@ -83,8 +83,7 @@ def phase_names(count: int) -> list[str]:
 def gather(store: Store, campaigns: Iterable[CampaignEntry], phases: int = 3) -> SensitivityMap:
     """The map of some campaigns of a store."""
     flown = [
-        MappedCampaign(one.spec, list(store.records(one)), dict(_injections(store, one)))
-        for one in campaigns
+        MappedCampaign(one.spec, list(store.records(one)), dict(_injections(store, one))) for one in campaigns
     ]
     return sensitivity(flown, phases)
 

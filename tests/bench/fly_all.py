@@ -16,6 +16,6 @@ def fly_all(runs: Iterable[Run], slots: int | None = None) -> Iterator[Finished]
     limits = CampaignLimits()
     states = CampaignStates({index: RunState() for index in planned}, limits.attempts)
     last = max((run.index for run in planned.values()), default=0)
-    rule = StoppingRule(None, (run.cell for run in planned.values()), last + 1)
+    rule = StoppingRule(None, planned.values(), last + 1)
     with closing(LocalExecutor(slots, limits.lease_s)) as executor:
         yield from Scheduler(states, planned, executor, rule, limits.lease_s, lambda *_: None).fly()

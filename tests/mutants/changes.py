@@ -289,6 +289,16 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "dashboard/campaigns/stopping.py",
+        "tests/dashboard/campaigns/test_scheduler.py",
+        (
+            "stopping: a relative precision is one in points",
+            "margin = (stop.relative or 0.0) * sum(seen) / max(len(seen), 1)",
+            "margin = stop.relative or 0.0",
+        ),
+        ("stopping: golden cells wait for harm", "if golden_counts or run.spec.fault is not None", ""),
+    ),
+    *_of(
         "dashboard/studies/sensitivity.py",
         "tests/dashboard/studies/test_sensitivity.py",
         ("map: phases are those of seconds", "/ result.twin_flight_time_s\n", "\n"),
@@ -551,8 +561,8 @@ MUTANTS: list[Mutant] = [
         ),
         (
             "scheduler: every flight counts as a success",
-            "self._rule.add(run.cell, run.index, success=outcome.qof.success)",
-            "self._rule.add(run.cell, run.index, success=True)",
+            "self._rule.add(run.cell, run.index, success=outcome.qof.success, harm=harm)",
+            "self._rule.add(run.cell, run.index, success=True, harm=harm)",
         ),
         (
             "scheduler: a run more than the look needs",

@@ -53,7 +53,7 @@ def arrival(*successes: bool) -> str:
 def fly(campaign: CampaignSpec, lease_s: float = 60.0, slots: int = 2) -> tuple[Scheduler, list[Finished]]:
     planned = dict(enumerate(runs(campaign)))
     states = CampaignStates({run: RunState() for run in planned}, campaign.limits.attempts)
-    rule = StoppingRule(campaign.stop, (run.cell for run in planned.values()), campaign.runs)
+    rule = StoppingRule(campaign.stop, planned.values(), campaign.runs)
     with closing(LocalExecutor(slots, lease_s)) as executor:
         scheduler = Scheduler(states, planned, executor, rule, lease_s, lambda *_: None)
         return scheduler, list(scheduler.fly())
@@ -103,11 +103,37 @@ def test_failed_missions_keep_a_campaign_flying(monkeypatch: pytest.MonkeyPatch)
 def rule_after(stop: StoppingSpec | None, successes: Mapping[str, Sequence[int]], runs_: int) -> StoppingRule:
     campaign = CampaignSpec(name="x", runs=runs_, arms=tuple(Arm(name=name) for name in successes))
     named = {cell.arm: cell for cell in cells(campaign)}
-    rule = StoppingRule(stop, [cell for cell in cells(campaign) for _ in range(runs_)], runs_)
+    rule = StoppingRule(stop, runs(campaign), runs_)
     for name, flights in successes.items():
         for number, success in enumerate(flights):
             rule.add(named[name], number, success=bool(success))
     return rule
+
+
+def test_a_rare_rate_is_known_to_a_part_of_itself() -> None:
+    # 10 of 1,000: +- 0.7 points at 97.5 % (two looks), which are 0.7 of it.
+    flights = [0] * 10 + [1] * 990
+    for relative, enough in ((0.8, True), (0.6, False)):
+        stop = StoppingSpec(relative=relative, looks=(1000,))
+        assert rule_after(stop, {"a": flights}, 2000).look() is enough
+    # None of 1,000 says how much it is at most, and nothing of its size.
+    assert not rule_after(StoppingSpec(relative=1.0, looks=(1000,)), {"a": [1] * 1000}, 2000).look()
+
+
+def test_harm_is_that_of_faults_and_golden_cells_do_not_count() -> None:
+    fault = FaultSpec(target="pid")
+    campaign = CampaignSpec(name="x", runs=200, arms=(Arm(name="golden"), Arm(name="pid", fault=fault)))
+    golden, pid = cells(campaign)
+    for harmed, enough in ((40, True), (2, False)):
+        rule = StoppingRule(StoppingSpec(relative=0.4, of="harm", looks=(100,)), runs(campaign), 200)
+        for number in range(100):
+            rule.add(golden, number, success=True)
+            rule.add(pid, number, success=True, harm=number < harmed)
+        assert rule.look() is enough
+    unknown = StoppingRule(StoppingSpec(margin=0.4, of="harm", looks=(100,)), runs(campaign), 200)
+    for number in range(100):
+        unknown.add(pid, number, success=True, harm=None)
+    assert not unknown.look()
 
 
 def test_one_wide_cell_keeps_all_flying() -> None:
@@ -172,7 +198,7 @@ def test_what_cannot_be_written_is_not_counted(monkeypatch: pytest.MonkeyPatch) 
             states,
             planned,
             executor,
-            StoppingRule(None, (run.cell for run in planned.values()), 5),
+            StoppingRule(None, planned.values(), 5),
             60.0,
             write,
         )
@@ -235,7 +261,7 @@ def test_what_is_told_of_a_lost_lease_is_not_written() -> None:
         assert set(outcomes) <= set(changed)
         written.append((states_.runs[0].phase, [one.result for one in outcomes.values()]))
 
-    rule = StoppingRule(None, (run.cell for run in planned.values()), 1)
+    rule = StoppingRule(None, planned.values(), 1)
     finished = list(Scheduler(states, planned, TwoFaced(), rule, 60.0, write).fly())
     assert [one.outcome.result for one in finished if one.outcome is not None] == ["success"]
     assert [(phase, results) for phase, results in written if results] == [("done", ["success"])]

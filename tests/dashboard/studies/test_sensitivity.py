@@ -11,8 +11,8 @@ from dashboard.campaigns.spec import Cell, campaign_of
 from dashboard.studies import sensitivity_page
 from dashboard.studies.ranking import KernelRate
 from dashboard.studies.sensitivity import (
-    MappedCampaign,
     MapField,
+    MappedCampaign,
     SensitivityMap,
     most_sensitive,
     part_struck,

@@ -45,7 +45,7 @@ def scheduler_of(
     executor: Executor, planned: Mapping[int, Run] = PLANNED, write: Write = unkept
 ) -> Scheduler:
     states = CampaignStates({run: RunState() for run in planned}, 5)
-    rule = StoppingRule(None, (run.cell for run in planned.values()), 100)
+    rule = StoppingRule(None, planned.values(), 100)
     return Scheduler(states, planned, executor, rule, LEASE_S, write)
 
 
