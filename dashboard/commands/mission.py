@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from dashboard.analysis import tables
+from dashboard.analysis.why import why
 from dashboard.commands.ros2 import RosOptions, in_domain, shown_in_ros
 from dashboard.terminal.options import as_json
 from deploy.config.written_faults import DETECTOR_FORM, FAULT_FORM, parse_fault
@@ -118,6 +119,8 @@ def fly(
         click.echo(outcome.model_dump_json(by_alias=True))
     else:
         Console().print(tables.outcome(outcome))
+        if outcome.injection is not None:
+            click.echo(why(outcome))
 
 
 def _link(text: str) -> dict[str, float]:

@@ -644,8 +644,8 @@ MUTANTS: list[Mutant] = [
         ),
         (
             "scheduler: the margin is that of both sides",
-            ".width <= 2 * self._margin",
-            ".width <= self._margin",
+            ".width <= 2 * margin",
+            ".width <= margin",
         ),
     ),
     *_of(

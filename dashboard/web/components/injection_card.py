@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from nicegui import ui
 
-from dashboard.web.charts.bits import Bit, Field, Word, words
+from dashboard.analysis.bits import Bit, Field, Word, words
 from dashboard.web.charts.flight_style import ALARM, GOLDEN, NEUTRAL, RECOMPUTED
 from dashboard.web.components.parts import facts
 from injector.tracing.symbols import demangled

@@ -10,6 +10,7 @@ from urllib.parse import quote
 from fastapi import Response
 from nicegui import ui
 
+from dashboard.analysis.why import why
 from dashboard.api.problems import NotFoundError
 from dashboard.api.routes.flights import NewFlight, create_flight
 from dashboard.api.routes.recordings import Recordings, record_run, recordings
@@ -63,6 +64,9 @@ class RunPage:
         stored, outcome = self._stored, self._stored.outcome
         others = await ask(related_runs, self._service.store, self._campaign, stored.id)
         self._ways(others)
+        if outcome is not None and outcome.injection is not None:
+            with section("Why"), ui.element("div").classes("panel"):
+                ui.label(why(outcome))
         with ui.element("div").classes("panels"):
             with section("What was asked for"):
                 self._about(await ask(self._effect, others))

@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from dashboard.web.charts.bits import words
+from dashboard.analysis.bits import words
 from services.models.outcome import InjectionRecord
 
 
