@@ -45,6 +45,7 @@ COMMANDS = {
     "program": LazyCommand("programs.program", "Faults in any program, thousands of runs."),
     "propagation": LazyCommand("recordings", "How the error of a recorded flight passed on, by topic."),
     "ps": LazyCommand("stack", "What the processes of a stack are doing."),
+    "publish": LazyCommand("studies.publish", "A campaign as a static site: findings, harmful flights."),
     "redundancy": LazyCommand("redundancy", "Velocity and flight time with one, two, three computers."),
     "replay": LazyCommand("replay", "Fly injected flights again and compare."),
     "restart": LazyCommand("stack", "Stop processes of a stack and start them again."),

@@ -289,6 +289,31 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
+        "dashboard/publication/site.py",
+        "tests/dashboard/publication/test_site.py",
+        ("publication: what others told is markup", "autoescape=True", "autoescape=False"),
+        (
+            "publication: a folder with something in it is written over",
+            "if folder.exists() and (",
+            "if False and (",
+        ),
+    ),
+    *_of(
+        "dashboard/publication/findings.py",
+        "tests/dashboard/publication/test_findings.py",
+        ("publication: chance is an effect", "if beside.p_adjusted < SIGNIFICANT:", "if True:"),
+    ),
+    *_of(
+        "dashboard/analysis/why.py",
+        "tests/dashboard/analysis/test_why.py",
+        ("why: false alarms notice a fault", "if one.true]", "]"),
+        (
+            "why: a guard of the twin's is the fault's",
+            "outcome.acting_guards - set(twins)",
+            "outcome.acting_guards",
+        ),
+    ),
+    *_of(
         "dashboard/campaigns/stopping.py",
         "tests/dashboard/campaigns/test_scheduler.py",
         (
