@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jinja2
 
 from dashboard.analysis import plots
+from dashboard.analysis.findings import findings
 from dashboard.analysis.recordings_reader import open_run
 from dashboard.analysis.why import why
 from dashboard.campaigns.results import export
@@ -18,7 +19,6 @@ from dashboard.campaigns.results.summary import CellSummary, summary
 from dashboard.campaigns.store.listing import StoredRun, stored_run
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.campaigns.store.store import Store
-from dashboard.publication.findings import findings
 from deploy.errors import BadSpecError
 from services.models.oracles.harm import kinds
 from services.models.outcome import Outcome

@@ -299,8 +299,8 @@ MUTANTS: list[Mutant] = [
         ),
     ),
     *_of(
-        "dashboard/publication/findings.py",
-        "tests/dashboard/publication/test_findings.py",
+        "dashboard/analysis/findings.py",
+        "tests/dashboard/analysis/test_findings.py",
         ("publication: chance is an effect", "if beside.p_adjusted < SIGNIFICANT:", "if True:"),
     ),
     *_of(

@@ -7,16 +7,19 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
+from dashboard.analysis.findings import findings
 from dashboard.analysis.kernel_study import WAYS
 from dashboard.api.processes.event_bus import EventBus
 from dashboard.api.routes.campaigns import CampaignDetail, detail
 from dashboard.api.service import Service
 from dashboard.campaigns.results.compare import side_by_side
 from dashboard.campaigns.results.injection_groups import InjectedFlights
+from dashboard.campaigns.results.summary import summary
 from dashboard.campaigns.store.listing import RunListing, RunQuery, run_page
 from dashboard.campaigns.store.queries import CampaignEntry
+from dashboard.campaigns.store.store import Store
 from dashboard.web.charts.figures import figures
 from dashboard.web.components.findings import Findings, InjectionFindings
 from dashboard.web.components.frame import ask
@@ -88,6 +91,19 @@ class CampaignStatus:
         return self.detail.phase != "running"
 
 
+class Beside(NamedTuple):
+    """The cells of a campaign beside golden twins: rows of a table, and what was found, in sentences."""
+
+    rows: list[Row]
+    found: list[str]
+
+    @classmethod
+    def of(cls, store: Store, campaign: CampaignEntry) -> Beside:
+        """Compare every cell, with intervals."""
+        compared = side_by_side(store, campaign, None, None)
+        return cls(beside_rows(compared), findings(summary(store, campaign), compared))
+
+
 class WatchedCampaign:
     """One campaign, for all of its viewers.
 
@@ -102,9 +118,7 @@ class WatchedCampaign:
         self._injections = SharedValue(
             lambda: InjectionFindings(self._injected.read(service.store, self._campaign())), PACE_S
         )
-        self._beside = SharedValue(
-            lambda: beside_rows(side_by_side(service.store, self._campaign(), None, None)), PACE_S
-        )
+        self._beside = SharedValue(lambda: Beside.of(service.store, self._campaign()), PACE_S)
         self._runs: OrderedDict[str, SharedValue[RunListing]] = OrderedDict()
 
     async def status(self) -> CampaignStatus:
@@ -121,7 +135,7 @@ class WatchedCampaign:
         """The injected flights so far, grouped."""
         return await self._newest(self._injections)
 
-    async def beside(self) -> list[Row]:
+    async def beside(self) -> Beside:
         """The same beside golden twins; takes seconds where there are thousands of flights."""
         return await self._newest(self._beside)
 

@@ -23,17 +23,18 @@ from dashboard.web.components.progress import Actions, Progress
 from dashboard.web.components.quality_tables import (
     BESIDE_NOTE,
     QUALITY_NOTE,
-    Row,
     beside_table,
     quality_table,
 )
 from dashboard.web.components.runs_table import RunsTable, asked
-from dashboard.web.components.views import WatchedCampaign, WatchedCampaigns
+from dashboard.web.components.views import Beside, WatchedCampaign, WatchedCampaigns
 
 BOXES_NOTE = (
     "Boxes: smallest, quartiles and largest of the successful flights. Each dot is a flight, and opens it; "
     "triangles are missions that failed, up to where they ended."
 )
+FOUND_NOTE = "Each cell beside its golden twins: success with its interval, and what the flights can tell."
+MOST_SENTENCES = 24
 EXPORTS = (
     ("runs as CSV", "export?format=csv"),
     ("runs as Parquet", "export?format=parquet"),
@@ -89,8 +90,12 @@ class CampaignPage:
         self._service, self._campaign, self._watched = service, campaign, watched
         self._findings: Findings | None = None
         self._injections: InjectionFindings | None = None
-        self._beside: list[Row] | None = None
+        self._beside: Beside | None = None
         self._head()
+        with section("What was found", FOUND_NOTE, anchor="found"):
+            self._found = ui.column().classes("section")
+            with self._found:
+                nothing("Being computed.", "With thousands of flights the intervals take some seconds.")
         with section("Quality of flight", QUALITY_NOTE):
             self._quality = quality_table()
             with ui.element("div").classes("triple"):
@@ -134,12 +139,24 @@ class CampaignPage:
         if beside is self._beside:
             return
         self._beside = beside
-        fill(self._beside_table, beside)
-        self._beside_table.set_visibility(bool(beside))
+        self._tell(beside.found)
+        fill(self._beside_table, beside.rows)
+        self._beside_table.set_visibility(bool(beside.rows))
         self._beside_state.clear()
-        if not beside:
+        if not beside.rows:
             with self._beside_state:
                 nothing("No pairs yet.", "Every flight with a fault is set beside its twin without one.")
+
+    def _tell(self, found: list[str]) -> None:
+        """A sentence for each cell; of very many the first."""
+        self._found.clear()
+        with self._found:
+            with ui.element("ul"):
+                for sentence in found[:MOST_SENTENCES]:
+                    with ui.element("li"):
+                        ui.label(sentence)
+            if len(found) > MOST_SENTENCES:
+                ui.label(f"The table below has {len(found) - MOST_SENTENCES} cells more.").classes("note")
 
     def _head(self) -> None:
         label = self._campaign.label

@@ -104,7 +104,11 @@ def test_an_instruction_is_told_with_its_call_and_function() -> None:
 
 
 def test_who_noticed_and_what_died() -> None:
-    died = {"planning": NodeReport(result="crash", causes=["SIGSEGV"], restarts=1, guards={"finite": 2})}
+    died = {
+        "planning": NodeReport(
+            result="crash", causes=["SIGSEGV"], restarts=1, guards={"finite": 2, "range": 1}
+        )
+    }
     report = DetectionReport(
         alarms=[alarm(7_000_000_000, true=False), alarm(8_300_000_000, true=True)],
         checks=9,
@@ -113,7 +117,8 @@ def test_who_noticed_and_what_died() -> None:
         ungated=0,
     )
     watched = MissionSpec.model_validate({"detector": {"scheme": "kinematic"}})
-    told = why(flown(nodes=died, detection=report, spec=watched))
+    twin = GoldenTwin(result="success", qof=FLOWN, digest="twin", guards=("range",))
+    told = why(flown(nodes=died, detection=report, spec=watched, golden=twin))
     assert "planning died (SIGSEGV), and was started again." in told
     assert "Guards acted that did not in the golden twin: finite." in told
     assert "raised an alarm 0.100 s after the strike about planning's x: recomputed." in told

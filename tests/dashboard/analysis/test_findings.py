@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from dashboard.analysis.findings import findings
 from dashboard.campaigns.results.compare import Comparison, Paired, compare
 from dashboard.campaigns.results.summary import CellSummary, summarise
-from dashboard.publication.findings import findings
 from tests.dashboard.campaigns.test_flight_record import CELLS, FLIP, GOLDEN, records, result, stored
 
 
