@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from dashboard.campaigns.flight_record import FlightRecord
 from dashboard.campaigns.spec import CampaignSpec
 from dashboard.campaigns.statistics.proportions import clopper_pearson, newcombe_paired
-from dashboard.campaigns.store.queries import CampaignEntry
+from dashboard.campaigns.store.queries import CampaignEntry, outcome_fields
 from dashboard.campaigns.store.schema import OutcomeRow, RunRow
 from dashboard.campaigns.store.store import Store
 from dashboard.design.designs import LIMIT, DesignChoice, DesignSpace, EvaluatedDesign, front
@@ -254,11 +254,8 @@ def _check_share(store: Store, protection: Protection, flown: Sequence[Flown]) -
 
 
 def _detection_shares(store: Store, campaign: CampaignEntry, arm: str) -> list[float]:
-    # PostgreSQL has a type for JSON, SQLite has functions for its text.
-    text = store.database.engine.dialect.name == "sqlite"
-    outcome = (sa.type_coerce if text else sa.cast)(OutcomeRow.outcome, sa.JSON)
     query = (
-        sa.select(outcome["detection", "detection_share"].as_float())
+        sa.select(outcome_fields(store.database)["detection", "detection_share"].as_float())
         .join(RunRow, RunRow.id == OutcomeRow.run_id)
         .where(RunRow.campaign_id == campaign.id, RunRow.arm == arm)
         .order_by(RunRow.id)

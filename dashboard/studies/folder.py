@@ -17,7 +17,7 @@ from dashboard.campaigns.results.summary import CellSummary
 from dashboard.campaigns.statistics.proportions import Interval
 from dashboard.campaigns.store.queries import CampaignEntry
 from dashboard.studies import ranks_page, recurring
-from dashboard.studies.ranking import RankAgreement
+from dashboard.studies.ranking import RankAgreement, harm_by_place
 from dashboard.studies.study import MissionStudy
 from dashboard.studies.verdict import Judged, in_words, judge
 from deploy.errors import BadSpecError
@@ -75,7 +75,7 @@ def page(study: MissionStudy, results: StudyResults, found: Sequence[Judged]) ->
         parts += ["## The paper's numbers beside ours", "\n".join(_side_by_side(found)), in_words(found)]
     if results.ranks:
         parts += ranks_page.sections(results.ranks)
-    parts += recurring.sections(recurring.harm_by_place(results.campaign.spec, results.records))
+    parts += recurring.sections(harm_by_place(results.campaign.spec, results.records))
     parts += results_page.tables(results.lines, results.compared)
     return "\n\n".join(parts) + "\n"
 

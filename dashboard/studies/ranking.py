@@ -8,8 +8,8 @@ posterior Beta(k + 1/2, n - k + 1/2), and tau of every draw taken.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from dashboard.campaigns.spec import CampaignSpec, mission_cells
 from dashboard.campaigns.statistics.proportions import Interval, wilson
 from deploy.errors import BadSpecError
 from services.models.base import Strict
+from services.models.faults.specification import FaultSpec
+
+K = TypeVar("K")
 
 DRAWS = 4000
 
@@ -156,26 +159,43 @@ def _ranked(kernel: str, alone: KernelRate, flown: KernelRate) -> RankedKernel:
 
 
 def harm_by_kernel(spec: CampaignSpec, records: Sequence[FlightRecord]) -> dict[str, dict[str, KernelRate]]:
-    """Of each pilot: of the faults that struck each kernel's instructions, how many harmed.
-
-    Flights with a detector, and such as cannot be judged, are not counted.
-    """
+    """Of each pilot: of the faults that struck each kernel's instructions, how many harmed."""
     struck: dict[str, dict[str, KernelRate]] = {}
-    places = dict(_struck_kernels(spec))
-    for one in records:
-        result = one.result
-        if one.cell not in places or result is None or result.injection != "injected" or result.harm is None:
-            continue
-        pilot, kernel = places[one.cell]
-        tallies = struck.setdefault(pilot, {})
-        known = tallies.get(kernel, KernelRate(0, 0))
-        tallies[kernel] = KernelRate(known.found + bool(result.harm), known.of + 1)
+    for (pilot, fault), rate in harm_counts(spec, records).items():
+        if fault.level == "instruction":
+            _add(struck.setdefault(pilot, {}), fault.target, rate)
     return struck
 
 
-def _struck_kernels(spec: CampaignSpec) -> Iterator[tuple[object, tuple[str, str]]]:
-    """Of each cell whose faults strike a kernel's instructions, without a detector: pilot and kernel."""
-    for cell, mission in mission_cells(spec):
-        fault = mission.fault
-        if fault is not None and fault.level == "instruction" and mission.detector is None:
-            yield cell, (mission.pilot, fault.target)
+def harm_by_place(
+    spec: CampaignSpec, records: Sequence[FlightRecord]
+) -> dict[str, dict[str, dict[str, KernelRate]]]:
+    """By pilot and recurrence: of the faults that were aimed at each place and struck, how many harmed."""
+    struck: dict[str, dict[str, dict[str, KernelRate]]] = {}
+    for (pilot, fault), rate in harm_counts(spec, records).items():
+        _add(struck.setdefault(pilot, {}).setdefault(fault.recurrence, {}), fault.target, rate)
+    return struck
+
+
+def harm_counts(
+    spec: CampaignSpec, records: Sequence[FlightRecord]
+) -> dict[tuple[str, FaultSpec], KernelRate]:
+    """By pilot and fault, in the order of the runs: of those that struck, how many harmed.
+
+    Flights with a detector, and such as cannot be judged, are not counted.
+    """
+    struck: dict[tuple[str, FaultSpec], KernelRate] = {}
+    missions = dict(mission_cells(spec))
+    for one in records:
+        mission, result = missions[one.cell], one.result
+        if mission.fault is None or mission.detector is not None:
+            continue
+        if result is None or result.injection != "injected" or result.harm is None:
+            continue
+        _add(struck, (str(mission.pilot), mission.fault), KernelRate(int(bool(result.harm)), 1))
+    return struck
+
+
+def _add(rates: dict[K, KernelRate], key: K, rate: KernelRate) -> None:
+    known = rates.get(key, KernelRate(0, 0))
+    rates[key] = KernelRate(known.found + rate.found, known.of + rate.of)

@@ -45,10 +45,11 @@ def _table(one: RankAgreement) -> Iterator[str]:
     yield "| kernel | SDC alone | of | harm in flight | of |"
     yield "|---|---|---|---|---|"
     for kernel in sorted(one.kernels, key=lambda each: -each.corrupted / each.injected):
-        alone = _percent(kernel.corrupted / kernel.injected, kernel.corrupted_low, kernel.corrupted_high)
-        flown = _percent(kernel.harmed / kernel.struck, kernel.harmed_low, kernel.harmed_high)
+        alone = percent(kernel.corrupted / kernel.injected, kernel.corrupted_low, kernel.corrupted_high)
+        flown = percent(kernel.harmed / kernel.struck, kernel.harmed_low, kernel.harmed_high)
         yield f"| `{kernel.kernel}` | {alone} | {kernel.injected} | {flown} | {kernel.struck} |"
 
 
-def _percent(rate: float, low: float, high: float) -> str:
+def percent(rate: float, low: float, high: float) -> str:
+    """A rate in per cent with its interval."""
     return f"{100 * rate:.1f} ({100 * low:.1f} to {100 * high:.1f})"

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
-from dashboard.campaigns.flight_record import FlightRecord
-from dashboard.campaigns.spec import CampaignSpec, Cell, mission_cells
 from dashboard.campaigns.statistics.proportions import wilson
 from dashboard.studies.ranking import LEAST, KernelRate, rank_correlation
 from services.models.base import Strict
@@ -37,27 +35,6 @@ class RankTurn(Strict):
         if self.high < 0:
             return "the ranking turns"
         return "not resolved: the interval has 0 in it"
-
-
-def harm_by_place(
-    spec: CampaignSpec, records: Sequence[FlightRecord]
-) -> dict[str, dict[str, dict[str, KernelRate]]]:
-    """By pilot and recurrence: of the faults that struck each place, how many harmed.
-
-    A place is what a fault is aimed at. Flights with a detector, and such as cannot be judged, are not
-    counted.
-    """
-    places = dict(_places(spec))
-    found: dict[str, dict[str, dict[str, KernelRate]]] = {}
-    for one in records:
-        result = one.result
-        if one.cell not in places or result is None or result.injection != "injected" or result.harm is None:
-            continue
-        pilot, recurrence, place = places[one.cell]
-        rates = found.setdefault(pilot, {}).setdefault(recurrence, {})
-        known = rates.get(place, KernelRate(0, 0))
-        rates[place] = KernelRate(known.found + bool(result.harm), known.of + 1)
-    return found
 
 
 def turns(found: Mapping[str, Mapping[str, Rates]]) -> list[RankTurn]:
@@ -128,11 +105,3 @@ def _percent(rate: KernelRate | None) -> str:
 
 def _tau(one: RankTurn) -> str:
     return "none" if one.tau is None else f"{one.tau:z.2f}"
-
-
-def _places(spec: CampaignSpec) -> Iterator[tuple[Cell, tuple[str, str, str]]]:
-    """Of each cell with a fault, without a detector: pilot, recurrence, and at what the fault is aimed."""
-    for cell, mission in mission_cells(spec):
-        fault = mission.fault
-        if fault is not None and mission.detector is None:
-            yield cell, (str(mission.pilot), fault.recurrence, fault.target)

@@ -10,14 +10,14 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import sqlalchemy as sa
 
 from dashboard.campaigns.flight_record import FlightRecord, Result
 from dashboard.campaigns.spec import CampaignSpec, mission_cells
 from dashboard.campaigns.statistics.proportions import Interval, wilson
-from dashboard.campaigns.store.queries import CampaignEntry
+from dashboard.campaigns.store.queries import CampaignEntry, outcome_fields
 from dashboard.campaigns.store.schema import OutcomeRow, RunRow
 from dashboard.campaigns.store.store import Store
 from dashboard.studies.ranking import KernelRate
@@ -160,13 +160,10 @@ def most_sensitive(found: SensitivityMap, most: int = 10) -> list[tuple[MapField
 
 def _injections(store: Store, campaign: CampaignEntry) -> Iterator[tuple[int, InjectionRecord]]:
     """The injection of each run that has one, by the run's id."""
-    # PostgreSQL has a type for JSON, SQLite has functions for its text.
-    text = store.database.engine.dialect.name == "sqlite"
-    outcome: Any = (sa.type_coerce if text else sa.cast)(OutcomeRow.outcome, sa.JSON)
     query = (
-        sa.select(RunRow.id, outcome["injection"].as_string())
+        sa.select(RunRow.id, outcome_fields(store.database)["injection"].as_string())
         .join(OutcomeRow, OutcomeRow.run_id == RunRow.id)
-        .where(RunRow.campaign_id == campaign.id, RunRow.fault != "golden")
+        .where(RunRow.campaign_id == campaign.id)
         .order_by(RunRow.id)
     )
     with store.reading() as connection:

@@ -11,7 +11,7 @@ import sqlalchemy as sa
 from numpy.typing import NDArray
 
 from dashboard.campaigns.statistics.proportions import wilson
-from dashboard.campaigns.store.queries import CampaignEntry
+from dashboard.campaigns.store.queries import CampaignEntry, outcome_fields
 from dashboard.campaigns.store.schema import OutcomeRow, ResultRow, RunRow
 from dashboard.campaigns.store.store import Store
 from services.models.base import Strict
@@ -112,9 +112,7 @@ def _target(record: InjectionRecord) -> str:
 
 def _query(store: Store) -> sa.Select[Any]:
     """Write, id, record, success and node result of the runs that changed; no record if none was injected."""
-    # PostgreSQL has a type for JSON, SQLite has functions for its text.
-    text = store.database.engine.dialect.name == "sqlite"
-    outcome = (sa.type_coerce if text else sa.cast)(OutcomeRow.outcome, sa.JSON)
+    outcome = outcome_fields(store.database)
     injected = sa.and_(OutcomeRow.run_id == RunRow.id, ResultRow.injection == "injected")
     return (
         sa.select(

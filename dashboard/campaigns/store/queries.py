@@ -272,3 +272,10 @@ def _campaign(row: Any) -> CampaignEntry:
         message = f"{row.name}-{row.id}: stored by another version of zenfi: {one_line(error)}"
         raise BadSpecError(message) from error
     return CampaignEntry(row.id, spec, row.phase, row.reason, row.created, row.wish)
+
+
+def outcome_fields(database: Database) -> sa.ColumnElement[Any]:
+    """The outcomes as JSON, of which a query can ask for fields: ``outcome_fields(...)["injection"]``."""
+    # PostgreSQL has a type for JSON, SQLite has functions for its text.
+    text = database.engine.dialect.name == "sqlite"
+    return (sa.type_coerce if text else sa.cast)(OutcomeRow.outcome, sa.JSON)

@@ -12,6 +12,7 @@ from rich.table import Table
 from dashboard.campaigns.store.store import Store
 from dashboard.studies.kernels_alone import counts_of
 from dashboard.studies.ranking import RankAgreement, agreements
+from dashboard.studies.ranks_page import percent
 from dashboard.terminal.options import as_json, in_store
 from deploy.errors import BadSpecError
 from deploy.kernel_study.file import kept_runs
@@ -51,11 +52,7 @@ def _table(judged: RankAgreement) -> Table:
     for name in ("kernel", "SDC alone", "of", "harm in flight", "of"):
         table.add_column(name, justify="left" if name == "kernel" else "right")
     for one in sorted(judged.kernels, key=lambda one: -one.corrupted / one.injected):
-        alone = _percent(one.corrupted / one.injected, one.corrupted_low, one.corrupted_high)
-        flown = _percent(one.harmed / one.struck, one.harmed_low, one.harmed_high)
+        alone = percent(one.corrupted / one.injected, one.corrupted_low, one.corrupted_high)
+        flown = percent(one.harmed / one.struck, one.harmed_low, one.harmed_high)
         table.add_row(one.kernel, alone, str(one.injected), flown, str(one.struck))
     return table
-
-
-def _percent(rate: float, low: float, high: float) -> str:
-    return f"{100 * rate:.1f} ({100 * low:.1f} to {100 * high:.1f})"

@@ -99,6 +99,7 @@ def run(
     spec = load_campaign(name)
     found = find(spec)
     asked = scaled(spec, scale) if scale != 1 else spec
+    target = _made(output or Path(found.name))
     label = _flown_before(asked, store) or Campaign(asked).create(store=store).label
     flown = StoredCampaign(label, store)
     if flown.phase not in ("done", "cancelled"):
@@ -108,7 +109,6 @@ def run(
         except KeyboardInterrupt:
             messages.print("zenfi: go on with the same command")
             raise
-    target = _made(output or Path(found.name))
     alone = KernelsAlone(kernels=tuple(found.alone)).scaled(scale) if found.alone else None
     struck = {one.summary.kernel: one.runs for one in _strike(alone, target, slots)} if alone else {}
     with closing(Store(store)) as opened:

@@ -77,6 +77,19 @@ def test_too_little_is_refused(flown: dict[str, KernelRate], message: str) -> No
         agreement("guarded", ALONE, flown)
 
 
+def runs(arm: str, fault: str, *harms: str | None, injection: str = "injected") -> list[FlightRecord]:
+    """Flights of an arm with a fault in Sparse: what harmed each."""
+    flights = [record(number) for number in range(len(harms))]
+    return [
+        replace(
+            one,
+            cell=Cell(arm, "sparse", fault),
+            result=replace(one.result, harm=harm, injection=injection) if one.result else None,
+        )
+        for one, harm in zip(flights, harms, strict=True)
+    ]
+
+
 def test_strikes_of_instructions_are_counted_by_pilot_and_kernel() -> None:
     spec = campaign_of(
         {
@@ -93,17 +106,6 @@ def test_strikes_of_instructions_are_counted_by_pilot_and_kernel() -> None:
             ],
         }
     )
-
-    def runs(arm: str, fault: str, *harms: str | None, injection: str = "injected") -> list[FlightRecord]:
-        made = [record(number) for number in range(len(harms))]
-        return [
-            replace(
-                one,
-                cell=Cell(arm, "sparse", fault),
-                result=replace(one.result, harm=harm, injection=injection) if one.result else None,
-            )
-            for one, harm in zip(made, harms, strict=True)
-        ]
 
     found = harm_by_kernel(
         spec,

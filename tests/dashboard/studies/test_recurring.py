@@ -1,14 +1,11 @@
 """Whether the ranking of places turns when faults recur, from what campaigns kept."""
 
-from dataclasses import replace
-
 import pytest
 
-from dashboard.campaigns.flight_record import FlightRecord
-from dashboard.campaigns.spec import Cell, campaign_of
-from dashboard.studies.ranking import KernelRate
-from dashboard.studies.recurring import harm_by_place, sections, turns
-from tests.dashboard.web.components.test_views import record
+from dashboard.campaigns.spec import campaign_of
+from dashboard.studies.ranking import KernelRate, harm_by_place
+from dashboard.studies.recurring import sections, turns
+from tests.dashboard.studies.test_ranking import runs
 
 ONCE = {"a": KernelRate(5, 100), "b": KernelRate(40, 100), "c": KernelRate(90, 100)}
 REVERSED = {"a": KernelRate(90, 100), "b": KernelRate(40, 100), "c": KernelRate(5, 100)}
@@ -61,17 +58,6 @@ def test_strikes_are_counted_by_pilot_recurrence_and_place() -> None:
             ],
         }
     )
-
-    def runs(arm: str, fault: str, *harms: str | None, injection: str = "injected") -> list[FlightRecord]:
-        flights = [record(number) for number in range(len(harms))]
-        return [
-            replace(
-                one,
-                cell=Cell(arm, "sparse", fault),
-                result=replace(one.result, harm=harm, injection=injection) if one.result else None,
-            )
-            for one, harm in zip(flights, harms, strict=True)
-        ]
 
     found = harm_by_place(
         spec,
